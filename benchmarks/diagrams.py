@@ -99,7 +99,7 @@ def save_p2(count: int, folder: Path) -> Path:
     blocks = ",\n".join(f'  "loop{number}": {{"diagram": "loop.json"}}' for number in range(count))
     log = ", ".join(f'"{name}"' for name in p2_log(count))
     run = f'{{"stop": 10, "method": "rk4", "step": 0.001, "every": 0.01, "log": [{log}]}}'
-    head = '{\n "format": "blocks-diagram",\n "version": 2,\n "name": "p2",\n'
+    head = '{\n "format": "blocks-diagram",\n "version": 3,\n "name": "p2",\n'
     text = f'{head} "blocks": {{\n{blocks}\n }},\n "run": {run}\n}}\n'
     path = folder / "p2.json"
     path.write_text(text, encoding="utf-8")

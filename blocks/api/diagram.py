@@ -341,8 +341,7 @@ class Diagram:
     ) -> None:
         """A measure to be taken in every run; see `blocks list measures`.
 
-        against: a signal, or a number in the declared unit of `of`; "30 rpm" is in its own unit. In a diagram of an
-        older file, too: its measures are brought to version 3 first.
+        against: a signal, or a number in the declared unit of `of`; "30 rpm" is in its own unit.
         """
         if name in self._draft.section("measures"):
             raise ModelError(
@@ -356,8 +355,6 @@ class Diagram:
         for key, given in zip(MEASURE_NUMBERS, (against, start, stop, band, omega), strict=True):
             if given is not None:
                 entry[key] = text_of(given, self) if isinstance(given, PortName) else read_quantity(raw_of(given))
-        if isinstance(entry.get("against"), (int, float)):
-            self._draft.bring_up_to_date()
         self._draft.put("measures", documents.entries(measures={name: entry}).measures)
 
     def settings(

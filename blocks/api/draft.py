@@ -10,13 +10,11 @@ from typing import Any
 from ..contract.block import Block
 from ..model import document as documents
 from ..model.block_ports import Ports, Probe, port_units
-from ..model.diagram_value import BASE, MADE, BlockEntry, DiagramValue, check_name
-from ..model.flatten import flatten, numbers_in_si
+from ..model.diagram_value import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.raw_values import given_values, raw_of
 from ..model.resolver import resolver_of
-from ..model.version_3 import converted, with_expressions
-from ..text.errors import BlocksError, Fault, ModelError
+from ..text.errors import Fault, ModelError
 from .entries import block_entry, checked_entry
 
 
@@ -61,17 +59,6 @@ class Draft:
             self._open[section].update(entries)
         if section == "parameters":
             self._probe = None
-
-    def bring_up_to_date(self) -> None:
-        """Convert the measures of an older file to version 3, so that plain numbers may be added."""
-        value = self.value
-        if value.is_before_3:
-            if value.has_plain_numbers:
-                try:
-                    value = converted(value, numbers_in_si(value, flatten(value, self.resolver).signals))
-                except BlocksError:  # it is not complete: units are not known
-                    value = replace(value, measures=with_expressions(value.measures))
-            self.value = replace(value, version=MADE)
 
     def section(self, section: str) -> Mapping[str, Any]:
         entries: Mapping[str, object] = self._open[section] if section in self._open else getattr(self._frozen, section)

@@ -7,7 +7,7 @@ import sys
 
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import counted
-from .options import Verbs, takes_json, takes_library
+from .options import Verbs, takes_json
 from .output import emit, printable, say, tell_faults
 
 
@@ -20,7 +20,6 @@ def add(verbs: Verbs) -> None:
     )
     fmt.add_argument("files", metavar="FILE", nargs="+", help="a diagram or a study; - reads stdin and writes stdout")
     fmt.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a file is not canonical")
-    takes_library(fmt)
     takes_json(fmt)
     fmt.set_defaults(verb=_fmt)
 
@@ -37,8 +36,7 @@ def _fmt(options: argparse.Namespace) -> int:
     for file in options.files:
         source = ("<stdin>", sys.stdin.buffer) if file == "-" else (file,)
         try:
-            form = canonical(*source, library=options.library)
-            tell_faults(form.warnings, options.json, file=file)
+            form = canonical(*source)
             if form.old != form.new:
                 changed += 1
                 status = status or (1 if options.check else 0)

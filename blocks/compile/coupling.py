@@ -296,7 +296,7 @@ class _Coupler:
     def __init__(self, flat: Flat) -> None:
         self.flat, self.settings = flat, flat.settings
         self.master = flat.settings.master
-        self.warnings: list[Fault] = list(flat.warnings)
+        self.warnings: list[Fault] = []
         self.groups = self.cut()
         self.unit_of = {index: k for k, group in enumerate(self.groups) for index in group}
         self.used: dict[BlockSource, int] = {}  # the elements by their sources
@@ -607,7 +607,7 @@ class _Coupler:
         ) if not path else ()  # fmt: skip
         settings = replace(self.settings, every=None, log=(), inputs={}, stops=())
         name, log = path or flat.name, tuple(asked)
-        return Flat(name, blocks, inputs, signals, (), settings, log, (), (), enabled, flat.diagram)
+        return Flat(name, blocks, inputs, signals, (), settings, log, (), enabled, flat.diagram)
 
     def input_name(self, source: BlockSource | InputSource) -> str:
         if isinstance(source, BlockSource):

@@ -191,7 +191,7 @@ class _PlanBuilder:
             flat.log,
             flat.measures,
             flat.settings,
-            (*flat.warnings, *self.warnings()),
+            tuple(self.warnings()),
         )
         return _settled(replace(draft, histories=tuple(_with_echoes(draft))))
 

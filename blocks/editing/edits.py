@@ -18,7 +18,7 @@ from typing import Any
 from ..model import document as diagrams
 from ..model import study_grammar as studies
 from ..model.block_types import Library, library_types
-from ..model.diagram_value import FORMAT, PLAIN_VERSION, VERSION
+from ..model.diagram_value import FORMAT, OLD_VERSION, VERSION
 from ..model.document_reader import DocumentReader, Loading
 from ..model.flatten import Flat, flatten
 from ..model.project import Project, project_of, read_inside
@@ -237,7 +237,7 @@ def check_version(document: Document) -> None:
     value = document.value
     format_, version = (value.get("format"), value.get("version")) if isinstance(value, dict) else (None, None)
     if format_ != studies.FORMAT:
-        if format_ != FORMAT or (isinstance(version, Number) and float(version) not in (PLAIN_VERSION, VERSION)):
+        if format_ != FORMAT or (isinstance(version, Number) and float(version) not in (OLD_VERSION, VERSION)):
             raise ModelError(*diagrams.alone(document)[1])
     elif isinstance(version, Number) and float(version) != studies.VERSION:
         cure = "Update blocks." if version > studies.VERSION else f"This release reads version {studies.VERSION}."

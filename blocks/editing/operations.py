@@ -17,12 +17,11 @@ from typing import Any
 
 from ..model.block_types import library_types
 from ..model.diagram_grammar import BODY, FILLED, NAMES, NUMBER, VARIANT
-from ..model.diagram_value import FORMAT, VERSION, check_name, is_plain_number
+from ..model.diagram_value import FORMAT, VERSION, check_name
 from ..model.document import dumps_document, entries, entry_document, loads
-from ..model.flatten import Flat, numbers_in_si
+from ..model.flatten import Flat
 from ..model.resolver import resolver_of
 from ..model.values import is_expression
-from ..model.version_3 import converted, with_expressions
 from ..text import grammar, json_text, units
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.grammar import ANY, AnyOf, Field, ListOf, Object, Scalar, Steps, Table, Text, in_words
@@ -306,9 +305,9 @@ def _swap(spot: Spot, entry: Mapping[str, Any]) -> None:
 def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
     """Entries of another diagram; where a name is taken, they get another one, and so does what refers to it there."""
     spot.whole()
-    given, value = dict(entry["paste"]), spot.value
+    value = spot.value
     taken = {name for kind in NAMED for name in spot.body.names(kind)}
-    fragment = {"format": FORMAT, "version": VERSION, **given}
+    fragment = {"format": FORMAT, "version": VERSION, **entry["paste"]}
     fragment = _with_free_names(spot, fragment, taken)
     dx, dy = entry.get("by", (0, 0))
     for section in (field.key for field in _TABLES):
@@ -320,28 +319,7 @@ def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
             if name in there and section in ("inputs", "parameters", "layout"):
                 continue  # it is shared
             value = tree.put_in(value, path, added, spot.name)
-    if value["version"] < VERSION and _have_copies(given.get("blocks", {})):
-        value = tree.replaced(_with_units(spot, value), ("version",), VERSION, spot.name)
     spot.put(value)
-
-
-def _with_units(spot: Spot, value: Any) -> Any:
-    """Give the numbers of measures their units before an older file becomes one of version 3."""
-    measures = tree.table_at(value, ("measures",))
-    if not any(is_plain_number(raw.get("against")) for raw in measures.values()):
-        return value
-    before = spot.workspace.flat(spot.file)
-    if not isinstance(before, Flat) or before.diagram is None:
-        return {**value, "measures": with_expressions(measures)}
-    in_si = numbers_in_si(before.diagram, before.signals)
-    return {**value, "measures": dict(converted(replace(before.diagram, measures=measures), in_si).measures)}
-
-
-def _have_copies(blocks: Mapping[str, Any]) -> bool:
-    """Whether any of the blocks, their variants or blocks inside has copies, which older files cannot say."""
-    every = [one for block in blocks.values() for one in (block, *block.get("variants", {}).values())]
-    inner = [one["diagram"].get("blocks", {}) for one in every if isinstance(one.get("diagram"), Mapping)]
-    return any("copies" in one for one in every) or any(map(_have_copies, inner))
 
 
 def _plain(number: float) -> float:

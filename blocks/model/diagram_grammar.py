@@ -35,7 +35,7 @@ from ..text.grammar import (
 from ..text.printable import quoted
 from ..text.quantity_text import DECIMAL, in_a_file
 from . import streams
-from .diagram_value import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
+from .diagram_value import BASE, FORMAT, NAME, OLD_VERSION, VERSION, name_cure
 
 LARGEST_SIZE = 100_000
 LARGEST_MATRIX = 1_000_000  # rows or columns of one given by its edges
@@ -592,6 +592,6 @@ def header(format_: str, versions: Sequence[int], what: str) -> tuple[Field, ...
 
 
 DIAGRAM = Object(
-    *header(FORMAT, (PLAIN_VERSION, VERSION), "diagram file"), *BODY.fields, strays=BODY.strays, is_open=True,
+    *header(FORMAT, (OLD_VERSION, VERSION), "diagram file"), *BODY.fields, strays=BODY.strays, is_open=True,
     doc="A block diagram with its parameters, wires, run settings and measures.",
 )  # fmt: skip

@@ -22,12 +22,9 @@ if TYPE_CHECKING:
 BlockClass: TypeAlias = "type[Block]"
 FORMAT = "blocks-diagram"
 VERSION = 3
-PLAIN_VERSION = 2
-"""The version of a diagram that means the same in the newest version: without copies, and without a plain number
-beside `against`."""
-MADE = -1
-"""The version of a diagram that was made in Python: it means what the newest version means, and is written in the
-oldest version that can hold it."""
+"""The version that is written."""
+OLD_VERSION = 2
+"""A version that is read, too: the plain numbers of its measures are in SI."""
 BASE = "base"
 """The name that stands for a block itself where one of its variants is chosen."""
 DEEPEST = 30
@@ -120,8 +117,7 @@ class BlockEntry:
 class DiagramValue:
     """A diagram: blocks, wires (sink -> source), inputs, outputs, parameters, run settings, measures, layout.
 
-    file, positions, prefix: where it was read, for the places of faults; version: of its file, or MADE. They are not
-    part of the value; but before version 3 the plain numbers of measures are in SI.
+    file, positions, prefix: where it was read, for the places of faults. They are not part of the value.
     """
 
     name: str = "diagram"
@@ -139,17 +135,6 @@ class DiagramValue:
     folder: str = field(default="", compare=False, repr=False)  # where its relative paths begin
     positions: Mapping[Path, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
     prefix: tuple[str | int, ...] = field(default=(), compare=False, repr=False)
-    version: int = field(default=MADE, compare=False, repr=False)
-
-    @property
-    def is_before_3(self) -> bool:
-        """Whether plain numbers beside `against` are in SI, and not in the declared units of the signals."""
-        return MADE < self.version < VERSION
-
-    @property
-    def has_plain_numbers(self) -> bool:
-        """Whether a measure has a plain number beside `against`, whose unit depends on the version."""
-        return any(is_plain_number(raw.get("against")) for raw in self.measures.values())
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: tuple[str | int, ...] = ()) -> Fault:
         """A fault with its place in the file: that of `path`, or of the nearest thing around it.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,10 @@ from ..text.errors import Fault, ModelError
 from ..text.grammar import Object
 from ..text.json_document import Document
 from .diagram_grammar import BLOCK, BODY, DIAGRAM, SCHEMA, VARIANT
-from .diagram_value import DEEPEST, FORMAT, MADE, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList
+from .diagram_value import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList
 from .document_reader import DocumentReader, Loading
 from .project import Project, read_inside
 from .values import Column
-from .version_3 import with_expressions
 
 # --- reading ---------------------------------------------------------------------------------------------------
 
@@ -64,13 +63,10 @@ def alone(document: Document) -> tuple[DiagramValue | None, list[Fault]]:
     return value, loading.faults.in_order()
 
 
-def canonical(
-    document: Document, convert: Callable[[DiagramValue], DiagramValue] = lambda value: value
-) -> tuple[str, int]:
-    """The canonical text of a diagram's document, and the version that the document has.
+def canonical(document: Document) -> str:
+    """The canonical text of a diagram's document.
 
-    convert: brings numbers up to date, which takes the units of the signals. What the diagram means may be wrong; its
-    structure may not. Raises ModelError with the faults of that.
+    What the diagram means may be wrong; its structure may not. Raises ModelError with the faults of that.
     """
     value, faults = alone(document)
     # Faults with these codes leave nothing out of the value.
@@ -78,11 +74,10 @@ def canonical(
     if faults:
         raise ModelError(*faults)
     assert value is not None
-    new = convert(value)
-    text = dumps(new)
-    if alone(json_text.read(text))[0] != new:
+    text = dumps(value)
+    if alone(json_text.read(text))[0] != value:
         raise AssertionError("the canonical text does not describe the same document")
-    return text, value.version
+    return text
 
 
 def from_document(document: Mapping[str, object], *, folder: str | Path = "") -> DiagramValue:
@@ -141,18 +136,9 @@ def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, object
         document["blocks"] = {name: entry_document(entry) for name, entry in value.blocks.items()}
     document |= value.extras
     if not inner:
-        version = written_version(value)
-        if value.is_before_3 and version == VERSION:
-            document |= {"measures": with_expressions(value.measures)}
-        return DIAGRAM.ordered({"format": FORMAT, "version": version} | document)
+        return DIAGRAM.ordered({"format": FORMAT, "version": VERSION} | document)
     left = {SCHEMA, "name"} if value.name == "diagram" else {SCHEMA}
     return BODY.ordered({key: entry for key, entry in document.items() if key not in left})
-
-
-def written_version(value: DiagramValue) -> int:
-    """Return the version in which a diagram is written: the version of its file, or the oldest that can hold it."""
-    is_new = has_copies(value) or (value.version == MADE and value.has_plain_numbers)
-    return VERSION if is_new else max(value.version, PLAIN_VERSION)
 
 
 def entry_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:
@@ -166,14 +152,6 @@ def entry_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:
     if entry.variants:
         document["variants"] = {name: entry_document(other, VARIANT) for name, other in entry.variants.items()}
     return kind.ordered({**document, **entry.control, **entry.options, **entry.extras})
-
-
-def has_copies(value: DiagramValue) -> bool:
-    """Whether a block of the diagram, or of a subdiagram in the same file, has copies."""
-    inline = (entry.diagram for entry in value.blocks.values() for entry in (entry, *entry.variants.values()))
-    return any(entry.copies is not None for entry in value.blocks.values()) or any(
-        has_copies(inner) for inner in inline if isinstance(inner, DiagramValue)
-    )
 
 
 def _plain(value: object) -> Any:

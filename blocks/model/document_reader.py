@@ -36,7 +36,18 @@ from .diagram_grammar import (
     members_of,
     signal,
 )
-from .diagram_value import BASE, DEEPEST, FORMAT, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList, is_name
+from .diagram_value import (
+    BASE,
+    DEEPEST,
+    FORMAT,
+    OLD_VERSION,
+    VERSION,
+    BlockEntry,
+    DiagramValue,
+    FaultList,
+    is_name,
+    is_plain_number,
+)
 from .project import Project, project_of, read_inside
 from .streams import is_stream
 from .values import Column, EdgeTable
@@ -71,7 +82,7 @@ class DocumentReader:
     folder: str
     loading: Loading
     above: tuple[Path, ...]  # the files that contain this one, and itself
-    version: int = VERSION  # that the file has; a part that is made in Python is of the newest
+    is_old: bool = False  # whether the file has version 2
     depth: int = 0  # how many subdiagrams are around what is being read
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
@@ -93,7 +104,7 @@ class DocumentReader:
     def header(self, value: Mapping[str, object]) -> bool:
         """Whether reading can go on: this is a diagram, perhaps with a fault in its first two keys."""
         if "format" not in value:
-            cure = f'Begin with {{"format": "{FORMAT}", "version": {PLAIN_VERSION}, ...'
+            cure = f'Begin with {{"format": "{FORMAT}", "version": {VERSION}, ...'
             self.fault("E009", (), 'the key "format" is missing.', cure)
             return "blocks" in value
         elif value["format"] != FORMAT:
@@ -102,23 +113,23 @@ class DocumentReader:
                 cure += " This file is a study: run it with `blocks study`."
             self.fault("E006", ("format",), f"the format is {in_words(value['format'])}.", cure)
         elif "version" not in value:
-            self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {PLAIN_VERSION}.')
+            self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
             return True
         elif not isinstance(value["version"], Number):
             what = f"must be a number, not {in_words(value['version'])}."
-            self.fault("E005", ("version",), what, f'Write "version": {PLAIN_VERSION}.')
+            self.fault("E005", ("version",), what, f'Write "version": {VERSION}.')
             return True
-        elif (version := float(value["version"])) not in (PLAIN_VERSION, VERSION):
+        elif (version := float(value["version"])) not in (OLD_VERSION, VERSION):
             shown = in_words(value["version"]).removeprefix("the number ")
             message, cure = f"version {shown} cannot be read.", f"This release reads version {VERSION}."
             if version > VERSION:
                 cure = "Update blocks."
             elif version == 1:
                 message = "version 1 cannot be read, because it has another PID: u was the error, and y the control."
-                cure = f'Write "version": {PLAIN_VERSION}, and change each PID as `blocks explain E005` shows.'
+                cure = f'Write "version": {OLD_VERSION}, and change each PID as `blocks explain E005` shows.'
             self.fault("E005", ("version",), message, cure)
         else:
-            self.version = int(version)
+            self.is_old = version == OLD_VERSION
             return True
         return False
 
@@ -151,15 +162,19 @@ class DocumentReader:
             blocks,
             {sink: _text(source) for sink, source in _table(value, "wires").items()},
             run,
-            {name: _object(entry) for name, entry in _table(value, "measures", named=True).items()},
+            {name: self.measure(_object(entry)) for name, entry in _table(value, "measures", named=True).items()},
             layout,
             {key: entry for key, entry in value.items() if key.startswith(OWN) or (key == SCHEMA and kind is DIAGRAM)},
             self.file,
             self.folder,
             self.document.places if self.file else {},
             path,
-            self.version,
         )
+
+    def measure(self, entry: Mapping[str, object]) -> Mapping[str, object]:
+        """Return a measure of version 3: a plain number of version 2 becomes an expression, which is in SI, too."""
+        against = entry.get("against")
+        return {**entry, "against": f"={against!r}"} if self.is_old and is_plain_number(against) else entry
 
     def names(self, tables: Mapping[str, Mapping[str, object]], path: Steps) -> None:
         """Blocks, inputs and parameters have names that differ."""
@@ -227,7 +242,7 @@ class DocumentReader:
         if is_variant:
             parts["ports"] = {name: own for name, own in _table(entry, "ports").items() if isinstance(own, str)}
         else:
-            parts["copies"] = self.copies(entry, path)
+            parts["copies"] = entry["copies"] if isinstance(entry.get("copies"), (Number, str)) else None
             if "variants" in entry or "variant" in entry:
                 parts |= self.variants(entry, path)
         if kind == "diagram" and isinstance(what, dict):
@@ -248,13 +263,6 @@ class DocumentReader:
             options={key: entry[key] for key in OPTIONS if key in entry} if kind == "fmu" else {},
             **parts,
         )
-
-    def copies(self, entry: Mapping[str, object], path: Steps) -> Any:
-        """How many copies of a block there are, as written; None of one that has none."""
-        if "copies" in entry and self.version < VERSION:
-            what = f"the file has version {self.version}, but copies need version 3."
-            self.fault("E005", (*path, "copies"), what, f'Write "version": {VERSION}.', at_key=True)
-        return entry["copies"] if isinstance(entry.get("copies"), (Number, str)) else None
 
     def variants(self, entry: Mapping[str, object], path: Steps) -> dict[str, Any]:
         """The variants of a block, and the name of the chosen one."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from .diagram_value import BlockEntry, DiagramValue
+from .diagram_value import BlockEntry, DiagramValue, is_plain_number
 from .document import to_document
 from .values import Column
 
@@ -21,8 +21,8 @@ def fingerprint(value: DiagramValue) -> str:
     """
     # The version of the format is no part of what is computed; 1 is what went in when there was no other.
     document = {**to_document(_bare(value)), "version": 1}
-    if value.has_plain_numbers and not value.is_before_3:
-        document["version"] = 3  # the same number is another value than in an older file
+    if any(is_plain_number(raw.get("against")) for raw in value.measures.values()):
+        document["version"] = 3  # the same number was another value in version 2
     return hashlib.sha256(json.dumps(document).encode()).hexdigest()
 
 

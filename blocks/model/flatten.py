@@ -31,7 +31,7 @@ from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .copies import Fleet, Later, without_numbers
 from .copy_numbers import look_into_copies
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
-from .diagram_value import DiagramValue, is_plain_number
+from .diagram_value import DiagramValue
 from .expansion import Expansion
 from .flat_block import FlatBlock, FlatEnabled
 from .hierarchy import MAX_BLOCKS, DiagramScope, Hierarchy, Leaf, Resolver, Spot
@@ -60,7 +60,6 @@ class Flat:
     settings: RunSettings
     log: tuple[str, ...]
     measures: tuple[MeasureSpec, ...]
-    warnings: tuple[Fault, ...]
     enabled: tuple[FlatEnabled, ...] = ()
     diagram: DiagramValue | None = field(default=None, compare=False, repr=False)
     expansion: Expansion | None = field(default=None, compare=False, repr=False)  # where there are copies
@@ -124,21 +123,6 @@ def interface_of(diagram: DiagramValue, name: str, resolver: Resolver) -> Interf
     leaf = hierarchy.root.children[name]
     assert isinstance(leaf, Leaf)
     return leaf.interface
-
-
-def numbers_in_si(value: DiagramValue, signals: Mapping[str, FlatSignal]) -> dict[str, str]:
-    """Find the plain numbers of measures in an older file that mean something else in version 3.
-
-    Returns their units, which are in SI, by measure.
-    """
-    found: dict[str, str] = {}
-    for name, raw in value.measures.items() if value.is_before_3 else ():
-        number, of = raw.get("against"), raw.get("of")
-        if isinstance(of, str) and is_plain_number(number):
-            signal = element_of(of, signals)
-            if signal is not None and units.to_si(float(number), signal.declared_unit) != number:
-                found[name] = signal.unit
-    return found
 
 
 def _blocks_around(signal: str) -> list[str]:
@@ -248,7 +232,6 @@ class _Flattener:
             self.settings,
             log,
             tuple(measure for measure in measures if measure is not None),
-            tuple(self.of_numbers_in_si(signals)),
             enabled,
             self.diagram,
             expansion,
@@ -304,18 +287,6 @@ class _Flattener:
             message = f"the diagram has {expansion.layout.size:,} blocks, but the limit is {MAX_BLOCKS:,}."
             raise ModelError(self.diagram.fault("E008", self.diagram.name, message))
         return expansion
-
-    def of_numbers_in_si(self, signals: Signals) -> Iterator[Fault]:
-        """Warn of numbers of measures that mean something else in version 3."""
-        for name, unit in numbers_in_si(self.diagram, signals).items():
-            raw = self.diagram.measures[name]
-            number, signal = raw["against"], element_of(str(raw["of"]), signals)
-            assert is_plain_number(number)
-            assert signal is not None
-            message = f"{number:g} is in {unit}, as the file has version {self.diagram.version}; in version 3 it "
-            message += f"would be in {signal.declared_unit}."
-            cure = f'Run `blocks fmt` to convert it, or write {{"value": {number:g}, "unit": "{unit}"}}.'
-            yield self.diagram.fault("W104", f"measures.{name}", message, cure, ("measures", name, "against"))
 
     def check_steps(self) -> None:
         """Refuse a communication step for a name that is no block."""
@@ -531,13 +502,12 @@ class _Flattener:
         if type_ not in MEASURES:
             cure = self.faults.guess(type_, MEASURES) or f"Measures: {', '.join(MEASURES)}."
             refuse("type", f"there is no measure {quoted(type_)}.", cure)
-        if not self.diagram.is_before_3:  # "30 rpm" names no signal
-            raw = {**raw, **{key: read_quantity(raw[key]) for key in MEASURE_NUMBERS if key in raw}}
+        raw = {**raw, **{key: read_quantity(raw[key]) for key in MEASURE_NUMBERS if key in raw}}
         operands, complete = self._operands(raw, signals, refuse)
         against: str | float = operands["against"].name if "against" in operands else 0.0
         if "against" in raw and "against" not in operands and complete:
             signal = operands.get("of")
-            unit = "" if signal is None else signal.unit if self.diagram.is_before_3 else signal.declared_unit
+            unit = "" if signal is None else signal.declared_unit
             number = self.number(name, "against", raw["against"], unit)
             against = 0.0 if number is None else number
         window = self._window(name, raw, type_, refuse)

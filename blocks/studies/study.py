@@ -22,7 +22,7 @@ from ..api.diagram import Diagram
 from ..model.block_types import Library
 from ..model.diagram_value import FaultList, beside
 from ..model.project import Project, read_inside
-from ..model.study_grammar import STUDY, VERSION
+from ..model.study_grammar import STUDY
 from ..results.results import Results
 from ..text import json_text, json_writer
 from ..text.errors import Fault, ModelError
@@ -107,8 +107,8 @@ def checked(path: str | Path, *, library: Library = ()) -> tuple[Study | None, l
     return study, list(first)
 
 
-def canonical(document: Document) -> tuple[str, int]:
-    """The canonical text of a study's document, and its version.
+def canonical(document: Document) -> str:
+    """The canonical text of a study's document.
 
     One run, claim, assumption and line of a figure a line; the keys of the study in their order, all others as they
     were. What it says may be wrong; its structure may not. Raises ModelError with the faults of that.
@@ -120,7 +120,7 @@ def canonical(document: Document) -> tuple[str, int]:
     if wrong:
         raise ModelError(*wrong)
     value = STUDY.ordered(document.value)
-    return json_writer.write(value, one_per_line=STUDY.lines(value)), VERSION
+    return json_writer.write(value, one_per_line=STUDY.lines(value))
 
 
 def run(

@@ -86,12 +86,12 @@ def test_a_copy_of_a_diagram_with_files_below_it_runs_alike(name: str, way: str)
 def broken(folder: Path) -> Diagram:
     """A file, its subdiagram and a variant of that, each with a fault of its own, and a block type of ours."""
     inner = {
-        "format": "blocks-diagram", "version": 2, "inputs": {"u": {}}, "outputs": {"y": "g.y"},
+        "format": "blocks-diagram", "version": 3, "inputs": {"u": {}}, "outputs": {"y": "g.y"},
         "blocks": {"g": {"type": "Gain", "parameters": {"k": -1}}}, "wires": {"g.u": "u"},
     }  # fmt: skip
     other = {**inner, "blocks": {"g": {"type": "Gain", "parameters": {"q": 2}}}}
     outer = {
-        "format": "blocks-diagram", "version": 2,
+        "format": "blocks-diagram", "version": 3,
         "blocks": {
             "one": {"type": "Constant", "parameters": {"nothing": 1}},
             "ours": {"type": "Tripled", "parameters": {"k": 2}},
@@ -172,7 +172,7 @@ def test_a_diagram_that_names_an_fmu_outside_of_its_project_is_as_little_trusted
     (tmp_path / "project").mkdir()
     named = {"m": {"fmu": str(FMUS / "PMDCMotor.fmu"), "kind": "CS", "parameters": {}}}
     file = tmp_path / "project" / "d.json"
-    document = {"format": "blocks-diagram", "version": 2, "blocks": named, "wires": {"m.v": "u"}}
+    document = {"format": "blocks-diagram", "version": 3, "blocks": named, "wires": {"m.v": "u"}}
     file.write_text(json.dumps({**document, "inputs": {"u": {"unit": "V", "default": 1}}}), encoding="utf-8")
     for way in WAYS.values():
         with pytest.raises(FMUError, match="E218"):

@@ -73,7 +73,7 @@ def loop() -> Diagram:
 LOOP = """\
 {
  "format": "blocks-diagram",
- "version": 2,
+ "version": 3,
  "name": "speed_loop",
  "parameters": {
   "kp": {"value": 2.0, "unit": "V.s/rad", "doc": "gain"}
@@ -632,7 +632,7 @@ def test_a_diagram_shows_what_it_holds() -> None:
 def test_what_follows_from_a_section_that_could_not_be_read_is_not_told(section: str, value: Any) -> None:
     document = {
         "format": "blocks-diagram",
-        "version": 2,
+        "version": 3,
         "parameters": {"k": 1},
         "inputs": {"u": {}},
         "blocks": {"g": {"type": "Gain", "parameters": {"k": "=k"}}},

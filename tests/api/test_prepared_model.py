@@ -262,7 +262,7 @@ def test_trust_is_of_one_run(tmp_path: Path) -> None:
     project = tmp_path / "project"
     project.mkdir()
     (project / "user.json").write_text(
-        '{"format": "blocks-diagram", "version": 2, "name": "user", "inputs": {"v": {"default": 1}, "tau": '
+        '{"format": "blocks-diagram", "version": 3, "name": "user", "inputs": {"v": {"default": 1}, "tau": '
         '{"default": 0}}, "wires": {"m.v": "v", "m.tau": "tau"}, "blocks": {"m": {"fmu": "../elsewhere/motor.fmu"}}}',
         encoding="utf-8",
     )

@@ -35,7 +35,7 @@ MOTOR = str(DIAGRAMS / "motor_pid.json")
 
 def write(path: Path, **parts: Any) -> str:
     path.write_text(
-        json.dumps({"format": "blocks-diagram", "version": 2, "name": path.stem, **parts}), encoding="utf-8"
+        json.dumps({"format": "blocks-diagram", "version": 3, "name": path.stem, **parts}), encoding="utf-8"
     )
     return str(path)
 
@@ -254,7 +254,7 @@ def test_check_tells_order_and_rates(capsys: pytest.CaptureFixture[str]) -> None
 def test_check_tells_all_faults_with_their_places(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "broken.json"
     path.write_text(
-        '{"format": "blocks-diagram", "version": 2, "name": "broken",\n'
+        '{"format": "blocks-diagram", "version": 3, "name": "broken",\n'
         ' "blocks": {"a": {"type": "Gain"},\n'
         '            "b": {"type": "Gian"}},\n'
         ' "wires": {"a.x": "b.y"}}\n',
@@ -702,7 +702,7 @@ def test_settings_of_the_master_are_given_one_by_one(capsys: pytest.CaptureFixtu
 
 # --- what a terminal shows -------------------------------------------------------------------------------------
 
-BROKEN = """{"format": "blocks-diagram", "version": 2, "name": "broken",
+BROKEN = """{"format": "blocks-diagram", "version": 3, "name": "broken",
  "blocks": {
   "a": {"type": "Gian"},
   "b": {"type": "Gain", "parametres": {"k": 1}}
@@ -763,7 +763,7 @@ def test_the_lines_of_other_commands_stand_on_stderr(tmp_path: Path) -> None:
 
 def test_a_faulty_line_is_shown_as_far_as_it_fits_and_obeys_no_escape(tmp_path: Path) -> None:
     long = tmp_path / "long.json"
-    text = '{"format": "blocks-diagram", "version": 2, "doc": "' + 300 * "\u00e9\u202e" + '", "bolcks": {}}'
+    text = '{"format": "blocks-diagram", "version": 3, "doc": "' + 300 * "\u00e9\u202e" + '", "bolcks": {}}'
     long.write_text(text, encoding="utf-8")
     fault = Fault("E003", "bolcks", "the key is not known", file=str(long), line=1, column=text.index('"bolcks"') + 1)
     shown, mark = Excerpts().of(fault)
@@ -1170,7 +1170,7 @@ def test_a_slip_of_the_text_hides_no_fault_of_meaning(tmp_path: Path, capsys: py
     path = tmp_path / "slip.json"
     text = """{
  // my diagram
- "format": "blocks-diagram", "version": 2,
+ "format": "blocks-diagram", "version": 3,
  "blocks": {"g": {"type": "Gian"}, "h": {"type": "Gain", "parameters": {"kk": 1}}},
  "wires": {"h.u": "zzz.y"}, "bogus": 1
 }

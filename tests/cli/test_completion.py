@@ -15,9 +15,9 @@ from blocks.cli import COMMANDS, main
 from blocks.cli.completion import words_after
 
 ROOT = Path(__file__).parents[2]
-INNER = {"format": "blocks-diagram", "version": 2, "parameters": {"T": 1}, "blocks": {"lag": {"type": "FirstOrder"}}}
+INNER = {"format": "blocks-diagram", "version": 3, "parameters": {"T": 1}, "blocks": {"lag": {"type": "FirstOrder"}}}
 DRIVE = {
-    "format": "blocks-diagram", "version": 2,
+    "format": "blocks-diagram", "version": 3,
     "parameters": {"torque": 1}, "inputs": {"u": {}}, "measures": {"ITAE": {"type": "ITAE", "of": "motor.omega"}},
     "blocks": {
         "motor": {"type": "PMDCMotor", "variants": {"own": {"type": "OwnMotor", "parameters": {"x": 1}}}},

@@ -26,15 +26,16 @@ from tests.support.places import ROOT
 
 SHIPPED = sorted(path for folder in ("diagrams", "tests/support/golden") for path in (ROOT / folder).rglob("*.json"))
 SHIPPED = [path for path in SHIPPED if '"format": "blocks-' in path.read_text(encoding="utf-8")[:200]]
+SHIPPED = [path for path in SHIPPED if not path.stem.endswith("_v2")]  # read, but not written
 STUDIES = [path for path in SHIPPED if '"blocks-study"' in path.read_text(encoding="utf-8")[:200]]
 
 UGLY = """{"wires": {"g.u": "r"}, "x-own": {"b": 1.50, "a": []}, "blocks": {
     "g": {"x-note": "mine", "parameters": {"k": 2.50}, "doc": "", "type": "Gain"}},
-  "inputs": {"r": {}}, "measures": {}, "version": 2, "run": {"stop": 1e0, "log": ["g.y"]}, "format": "blocks-diagram"}
+  "inputs": {"r": {}}, "measures": {}, "version": 3, "run": {"stop": 1e0, "log": ["g.y"]}, "format": "blocks-diagram"}
 """
 FORMATTED = """{
  "format": "blocks-diagram",
- "version": 2,
+ "version": 3,
  "name": "diagram",
  "inputs": {
   "r": {}
@@ -89,7 +90,7 @@ FORMATTED_STUDY = """{
 """
 
 
-def canonical_of(path: Path) -> Callable[[Document], tuple[str, int]]:
+def canonical_of(path: Path) -> Callable[[Document], str]:
     return study.canonical if path in STUDIES else canonical
 
 
@@ -148,7 +149,7 @@ def test_stdin_is_written_to_stdout(
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_the_files_of_this_project_are_canonical(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert canonical_of(path)(json_text.read(text)) == (text, 1 if path in STUDIES else json.loads(text)["version"])
+    assert canonical_of(path)(json_text.read(text)) == text
 
 
 def test_check_names_the_files_that_are_not_canonical_and_changes_none(
@@ -168,7 +169,7 @@ def test_programs_are_told_about_each_file(path: Path, capsys: pytest.CaptureFix
     status, out, err = out_of(capsys, "fmt", "--check", "--json", str(path))
     assert (status, err) == (1, "")
     assert [json.loads(line) for line in out.splitlines()] == [
-        {"event": "file", "file": str(path), "canonical": False, "version": 2},
+        {"event": "file", "file": str(path), "canonical": False, "version": 3},
         {"event": "done", "files": 1, "changed": 1, "check": True},
     ]
 
@@ -183,7 +184,7 @@ def test_programs_are_told_about_each_file(path: Path, capsys: pytest.CaptureFix
         ('"inputs": {"r": {}}', '"inputs": {"r": {}}, "inputs": {}', "E002"),
         ('"measures"', '"measure"', "E003"),
         ('"g.u": "r"', '"g.u": 7', "E004"),
-        ('"version": 2', '"version": 4', "E005"),
+        ('"version": 3', '"version": 4', "E005"),
         ('"format": "blocks-diagram"', '"format": "diagram"', "E006"),
         ('"type": "Gain"', '"x-type": "Gain"', "E009"),
         ('"g": {', '"a b": {', "E111"),
@@ -309,7 +310,7 @@ def test_the_order_of_sections_and_the_spaces_of_a_file_do_not_matter(seed: int,
     document = json.loads(text, parse_float=lambda word: f"\x00{word}", parse_int=lambda word: f"\x00{word}")
     mixed = json.dumps(shuffled(document, rng, 0), indent=rng.choice([None, 0, 3]), ensure_ascii=rng.random() < 0.5)
     mixed = re.sub(r'"\\u0000([^"]+)"', r"\1", mixed)
-    assert canonical(json_text.read(mixed)) == (text, 1 if path in STUDIES else json.loads(text)["version"])
+    assert canonical(json_text.read(mixed)) == text
 
 
 def test_what_is_written_is_what_is_read(path: Path) -> None:
@@ -329,8 +330,8 @@ def test_a_file_that_another_program_changes_meanwhile_is_left_as_that_left_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "x.json"
-    path.write_text('{"format": "blocks-diagram", "version": 2, "name": "x"}\n', encoding="utf-8")
-    changed = '{"format": "blocks-diagram", "version": 2, "name": "y"}\n'
+    path.write_text('{"format": "blocks-diagram", "version": 3, "name": "x"}\n', encoding="utf-8")
+    changed = '{"format": "blocks-diagram", "version": 3, "name": "y"}\n'
     made = dumps
 
     def late(value: Any) -> str:
@@ -347,7 +348,7 @@ def test_a_file_that_another_program_changes_meanwhile_is_left_as_that_left_it(
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may give files to others")
 def test_a_file_keeps_its_owner(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    path.write_text('{"format": "blocks-diagram", "version": 2, "name": "x"}\n', encoding="utf-8")
+    path.write_text('{"format": "blocks-diagram", "version": 3, "name": "x"}\n', encoding="utf-8")
     os.chown(path, 1234, 1234)
     path.chmod(0o640)
     assert main(["fmt", str(path)]) == 0

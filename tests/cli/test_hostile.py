@@ -193,7 +193,7 @@ def test_the_watch_sees_what_it_is_there_to_see(watch: Watch, tmp_path: Path) ->
     (tmp_path / "evil.py").write_text(
         CANARY + "from blocks import Block\nclass Own(Block):\n    pass\n", encoding="utf-8"
     )
-    (tmp_path / "a.json").write_text(json.dumps({"format": "blocks-diagram", "version": 2}), encoding="utf-8")
+    (tmp_path / "a.json").write_text(json.dumps({"format": "blocks-diagram", "version": 3}), encoding="utf-8")
     seen = watch(["check", "a.json", "--library", "evil"], tmp_path)
     assert any("evil.py" in deed for deed in seen.deeds if not deed.startswith("open"))
     assert any(deed.startswith("open for writing") for deed in seen.deeds)

@@ -12,7 +12,7 @@ import pytest
 from blocks.cli import main
 
 DIAGRAM: dict[str, Any] = {
-    "format": "blocks-diagram", "version": 2, "name": "lag",
+    "format": "blocks-diagram", "version": 3, "name": "lag",
     "blocks": {"source": {"type": "Constant"}, "lag": {"type": "FirstOrder", "parameters": {"T": 1.0}}},
     "wires": {"lag.u": "source.y"},
     "measures": {"end": {"type": "peak", "of": "lag.y"}},

@@ -48,7 +48,7 @@ def project(folder: Path, **sections: Any) -> Path:
     """A project with the diagram a.json."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "pyproject.toml").touch()
-    source = {"format": "blocks-diagram", "version": 2, "name": "d", "run": {"stop": 1}, **sections}
+    source = {"format": "blocks-diagram", "version": 3, "name": "d", "run": {"stop": 1}, **sections}
     (folder / "a.json").write_text(json.dumps(source), encoding="utf-8")
     return folder
 

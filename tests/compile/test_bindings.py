@@ -183,7 +183,7 @@ def of_file(path: Path) -> Bound:
 
 
 def made(**sections: Any) -> DiagramValue:
-    return document.from_document({"format": "blocks-diagram", "version": 2, "name": "d", **sections})
+    return document.from_document({"format": "blocks-diagram", "version": 3, "name": "d", **sections})
 
 
 def bound(overrides: dict[str, Any] | None = None, /, **sections: Any) -> Bound:

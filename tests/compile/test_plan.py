@@ -517,7 +517,7 @@ def many_loops(count: int) -> str:
         chain = [f"r{k}.y", f"e{k}.u1", f"e{k}.y", f"k{k}.u", f"k{k}.y", f"s{k}.u"]
         chain += [f"s{k}.y", f"z{k}.u", f"z{k}.y", f"x{k}.u", f"x{k}.y", f"e{k}.u2"]
         wires |= dict(zip(chain[1::2], chain[::2], strict=True))
-    return json.dumps({"format": "blocks-diagram", "version": 2, "blocks": blocks, "wires": wires})
+    return json.dumps({"format": "blocks-diagram", "version": 3, "blocks": blocks, "wires": wires})
 
 
 def calls(work: Callable[[], Any]) -> int:

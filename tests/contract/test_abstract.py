@@ -548,7 +548,7 @@ def test_a_library_of_several_modules_is_listed_run_and_loaded_anew(tmp_path: Pa
         print(value())
         """
     model = """\
-        {"format": "blocks-diagram", "version": 2, "blocks": {"one": {"type": "TYPE"}}, "outputs": {"y": "one.y"},
+        {"format": "blocks-diagram", "version": 3, "blocks": {"one": {"type": "TYPE"}}, "outputs": {"y": "one.y"},
          "run": {"stop": 0.1}}
         """
     (tmp_path / "shared_laws.py").write_text(textwrap.dedent(shared).replace("{k}", "3.0"))

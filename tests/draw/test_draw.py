@@ -473,7 +473,7 @@ def test_symbols_show_their_key_parameters() -> None:
     loaded = from_document(
         {
             "format": "blocks-diagram",
-            "version": 2,
+            "version": 3,
             "blocks": {
                 "k": {"type": "Gain", "parameters": {"k": {"value": 2.5, "unit": "V"}}},
                 "sum": {"type": "Sum", "parameters": {"signs": "-+"}},
@@ -537,7 +537,7 @@ def test_elements_of_a_vector_are_ports_of_their_own() -> None:
     value = from_document(
         {
             "format": "blocks-diagram",
-            "version": 2,
+            "version": 3,
             "inputs": {"r": {}},
             "blocks": {
                 "plant": {
@@ -783,7 +783,7 @@ def test_given_positions_are_kept_in_random_diagrams(value: DiagramValue, random
 
 def test_the_values_of_a_file_are_json_numbers() -> None:
     """Positions as the reader gives them, which remember their spelling, are numbers as well."""
-    document = {"format": "blocks-diagram", "version": 2, "blocks": {"a": {"type": "Step"}, "b": {"type": "Step"}}}
+    document = {"format": "blocks-diagram", "version": 3, "blocks": {"a": {"type": "Step"}, "b": {"type": "Step"}}}
     value = loads(json.dumps({**document, "layout": {"a": [40, 80.5], "b": [300, 80.5]}}))
     a, b = pictured(value).boxes
     assert (b.x - a.x, b.y - a.y) == (260, 0)

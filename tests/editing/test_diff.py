@@ -39,7 +39,7 @@ def resolver() -> Any:
 
 
 def document(**sections: Any) -> dict[str, Any]:
-    return {"format": "blocks-diagram", "version": 2, "name": "d", **sections}
+    return {"format": "blocks-diagram", "version": 3, "name": "d", **sections}
 
 
 def loop(**changes: Any) -> dict[str, Any]:

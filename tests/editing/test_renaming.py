@@ -49,7 +49,7 @@ def refused(folder: Path, text: str, old: str, new: str, **options: Any) -> Any:
 # --- one kind of name after the other --------------------------------------------------------------------------
 
 LOOP = r"""
-{"format":"blocks-diagram",  "version": 2, "name": "lag", "doc": "lag, r and Kp are words here.",
+{"format":"blocks-diagram",  "version": 3, "name": "lag", "doc": "lag, r and Kp are words here.",
  "parameters": {"~Kp~": {"value": 2.50, "unit": "", "doc": "Kp"}, "Kp2": "=2*~Kp~", "text": "==Kp"
  , "list": ["=~Kp~", 1e0, "=sin(~Kp~)*pi"], "when": {"value": "=~Kp~/10", "unit": "s"}},
  "inputs": {"^r^": {"default": 1}},
@@ -94,7 +94,7 @@ def test_a_name_goes_with_all_that_refers_to_it_and_nothing_else_changes(kind: s
     assert renamed(tmp_path, made, "fresh_1", NAMES[kind]) == filled(LOOP)
 
 
-INNER = """{"format": "blocks-diagram", "version": 2,
+INNER = """{"format": "blocks-diagram", "version": 3,
  "parameters": {"Kp": 3, "q": 1}, "inputs": {"r": {"default": 1}}, "outputs": {"speed": "part.<speed>", "deep": "r"},
  "blocks": {
   "lag": {"type": "Gain", "parameters": {"k": "=Kp"}},
@@ -135,7 +135,7 @@ def test_the_output_of_a_subdiagram_and_its_block_of_the_same_name_are_told_apar
 
 def test_strings_with_escapes_and_lines_of_any_kind_are_edited_in_place(tmp_path: Path) -> None:
     text = (
-        '{"format":"blocks-diagram","version":2,\r\n'
+        '{"format":"blocks-diagram","version":3,\r\n'
         '"blocks":{"\\u006cag":{"type":"G\\u0061in","doc":"\\ud83d\\ude00 \\"lag\\""},\r\n\t"b":{"type":"Gain"}},'
         '"wires":{"b.u":"l\\u0061g.y","l\\u0061\\u0067.u":"\\u0062.y"},"run":{"loops":"solve"}}'
     )
@@ -145,7 +145,7 @@ def test_strings_with_escapes_and_lines_of_any_kind_are_edited_in_place(tmp_path
 
 
 def test_elements_of_vectors_keep_their_indices(tmp_path: Path) -> None:
-    text = """{"format": "blocks-diagram", "version": 2, "inputs": {"@": {"size": 2}}, "outputs": {"o": "@[1]"},
+    text = """{"format": "blocks-diagram", "version": 3, "inputs": {"@": {"size": 2}}, "outputs": {"o": "@[1]"},
      "blocks": {"p": {"type": "StateSpace",
                       "parameters": {"A": [[-1, 0], [1, -2]], "B": [[1, 0], [0, 1]], "C": [[0, 1]]}}},
      "wires": {"p.u[0]": "@[0]", "p.u[1]": "@[1]"}, "run": {"log": ["@", "@[1]", "p.x[0]"]}}"""
@@ -153,7 +153,7 @@ def test_elements_of_vectors_keep_their_indices(tmp_path: Path) -> None:
     assert '"volt.u[0]": "u[0]"' in renamed(tmp_path, text.replace("@", "u"), "p", "volt")
 
 
-VARIANTS = """{"format": "blocks-diagram", "version": 2,
+VARIANTS = """{"format": "blocks-diagram", "version": 3,
  "blocks": {
   "source": {"type": "Sine"},
   "plant": {
@@ -189,7 +189,7 @@ def test_a_port_that_a_variant_shares_without_saying_so_is_refused_with_the_cure
 
 
 def test_expressions_are_edited_by_names_and_not_by_letters(tmp_path: Path) -> None:
-    text = """{"format": "blocks-diagram", "version": 2, "parameters": {"@": 2, "@1": 3, "sin": 4, "exp": 1},
+    text = """{"format": "blocks-diagram", "version": 3, "parameters": {"@": 2, "@1": 3, "sin": 4, "exp": 1},
      "blocks": {"g": {"type": "Gain", "parameters": {"k": "=[@]+@1*sin(@2)/ [@]**[@]-exp( 1e2*[@] )+exp"}}}}"""
     text = text.replace("@2", "[@]").replace('"@":', '"[@]":')
     old = text.replace("[@]", "e").replace("@", "e")
@@ -238,7 +238,7 @@ def test_what_cannot_be_renamed_is_told_with_its_cure(
 
 
 def test_a_name_that_would_make_another_one_mean_something_else_is_refused(tmp_path: Path) -> None:
-    text = """{"format": "blocks-diagram", "version": 2, "outputs": {"o": "g.y"}, "blocks": {"g": {"type": "Sine"}%s},
+    text = """{"format": "blocks-diagram", "version": 3, "outputs": {"o": "g.y"}, "blocks": {"g": {"type": "Sine"}%s},
      "run": {"log": ["g", "o"]}, "layout": {"o": [1, 2]%s}}"""
     assert '"o": [1, 2]' in renamed(tmp_path, text % ("", ""), "g", "h")
     # The place of the output would be that of the block, and the log would not name the block any more.
@@ -251,7 +251,7 @@ def test_a_name_that_would_make_another_one_mean_something_else_is_refused(tmp_p
 
 
 def test_the_input_of_an_enabled_subdiagram_cannot_take_the_name_of_its_switch(tmp_path: Path) -> None:
-    text = """{"format": "blocks-diagram", "version": 2,
+    text = """{"format": "blocks-diagram", "version": 3,
      "blocks": {"c": {"type": "Constant"}, "on": {"type": "CompareToConstant"},
      "s": {"diagram": {"inputs": {"u": {}}, "outputs": {"y": "u"}}, "enable": {}}},
      "wires": {"s.u": "c.y", "s.enable": "on.y", "on.u": "c.y"}}"""
@@ -262,7 +262,7 @@ def test_the_input_of_an_enabled_subdiagram_cannot_take_the_name_of_its_switch(t
 def test_what_lies_in_another_file_is_renamed_there(tmp_path: Path) -> None:
     (tmp_path / "parts").mkdir()
     inner = (
-        '{"format": "blocks-diagram", "version": 2, "blocks": {"w": {"diagram": {"blocks": {"g": {"type": "Sine"}}}}}}'
+        '{"format": "blocks-diagram", "version": 3, "blocks": {"w": {"diagram": {"blocks": {"g": {"type": "Sine"}}}}}}'
     )
     (tmp_path / "parts" / "p.json").write_text(inner, encoding="utf-8")
     text = inner.replace('{"type": "Sine"}', '{"diagram": "parts/p.json"}').replace("w", "a").replace('"g"', '"b"')
@@ -286,7 +286,7 @@ def test_a_file_that_is_no_readable_diagram_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_with_faults_is_renamed_and_keeps_its_faults(tmp_path: Path) -> None:
-    text = """{"format": "blocks-diagram", "version": 2, "blokcs": {},
+    text = """{"format": "blocks-diagram", "version": 3, "blokcs": {},
      "parameters": {"@": "=@ + ", "q": "=@ @", "r": "=@*nobody"},
      "blocks": {"g": {"type": "Nothing", "parameters": {"k": "=@"}}, "h": 5,
                 "no name": {"type": "Gain", "parameters": {"k": "=@"}}},
@@ -354,13 +354,13 @@ def test_a_refused_renaming_leaves_the_file_and_says_why(tmp_path: Path, capsys:
 
 
 PROJECT = {
-    "part.json": """{"format": "blocks-diagram", "version": 2, "parameters": {"~k~": 1}, "inputs": {"^u^": {}},
+    "part.json": """{"format": "blocks-diagram", "version": 3, "parameters": {"~k~": 1}, "inputs": {"^u^": {}},
  "outputs": {"<y>": "[g].y"}, "blocks": {"[g]": {"type": "Gain", "parameters": {"k": "=~k~"}}},
  "wires": {"[g].u": "^u^"}}""",
-    "sub/middle.json": """{"format": "blocks-diagram", "version": 2, "inputs": {"u": {}}, "outputs": {"y": "p.<y>"},
+    "sub/middle.json": """{"format": "blocks-diagram", "version": 3, "inputs": {"u": {}}, "outputs": {"y": "p.<y>"},
  "blocks": {"p": {"diagram": "../part.json", "parameters": {"~k~": 5}}, "u2": {"type": "Gain"}},
  "wires": {"p.^u^": "u", "u2.u": "p.<y>"}, "run": {"log": ["p.[g].y"]}}""",
-    "top.json": """{"format": "blocks-diagram", "version": 2, "inputs": {"r": {"default": 1}},
+    "top.json": """{"format": "blocks-diagram", "version": 3, "inputs": {"r": {"default": 1}},
  "blocks": {"m": {"diagram": "sub/middle.json"}, "g": {"type": "Gain"}}, "wires": {"m.u": "r", "g.u": "m.y"},
  "run": {"stop": 1, "log": ["m.p.[g].y", "g.y"]}}""",
     "study.json": """{"format": "blocks-study", "version": 1,
@@ -489,7 +489,7 @@ class Plan:
         self.kinds: list[str] = []  # of each thing
         self.paths: list[str] = []  # of each thing, with marks
         self.rivals: list[list[int]] = []  # groups of things of different names
-        outer: dict[str, Any] = {"format": "blocks-diagram", "version": 2}
+        outer: dict[str, Any] = {"format": "blocks-diagram", "version": 3}
         self.signals: list[str] = []
         self.leaves: list[str] = []
         ports = self.body(outer, "", rng.randint(0, 2))
@@ -616,7 +616,7 @@ def test_every_name_of_the_shipped_diagrams_can_be_renamed_and_back(name: str, t
 def test_files_that_contain_themselves_in_many_ways_are_followed_once(tmp_path: Path) -> None:
     entry = {"diagram": "d.json", "variants": {f"v{k}": {"diagram": "d.json"} for k in range(20)}}
     log = [".".join(["a"] * count) for count in (1, 5, 29, 20_000)]
-    text = json.dumps({"format": "blocks-diagram", "version": 2, "blocks": {"a": entry}, "run": {"log": log}})
+    text = json.dumps({"format": "blocks-diagram", "version": 3, "blocks": {"a": entry}, "run": {"log": log}})
     made = renamed(tmp_path, text, "a", "b", elsewhere=False)
     names = [path.count("b") for path in json.loads(made)["run"]["log"]]
     assert names[:3] == [1, 5, 29]
@@ -626,7 +626,7 @@ def test_files_that_contain_themselves_in_many_ways_are_followed_once(tmp_path: 
 def test_what_would_take_too_long_is_refused(tmp_path: Path) -> None:
     variants = {f"v{k}": {"type": "Gain"} for k in range(2_000)}
     blocks = {"a": {"type": "Gain", "variants": variants}}
-    document = {"format": "blocks-diagram", "version": 2, "blocks": blocks, "run": {"log": ["a.y"] * 600}}
+    document = {"format": "blocks-diagram", "version": 3, "blocks": blocks, "run": {"log": ["a.y"] * 600}}
     assert refused(tmp_path, json.dumps(document), "a", "b").code == "E008"
     (tmp_path / "big.json").write_text(json.dumps(document), encoding="utf-8")
     document["run"] = {}
@@ -649,7 +649,7 @@ def test_a_missing_file_is_told(tmp_path: Path) -> None:
 def test_a_name_that_is_taken_twice_is_mended_by_renaming(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text(
-        '{"format": "blocks-diagram", "version": 2, "inputs": {"u": {}}, "outputs": {"u": "g.y"},\n'
+        '{"format": "blocks-diagram", "version": 3, "inputs": {"u": {}}, "outputs": {"u": "g.y"},\n'
         ' "blocks": {"g": {"type": "Gain"}}, "wires": {"g.u": "u"}}\n',
         encoding="utf-8",
     )
@@ -663,13 +663,13 @@ def test_a_parameter_that_a_variant_does_not_share_is_not_taken_for_a_port(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "p.json").write_text(
-        '{"format": "blocks-diagram", "version": 2, "parameters": {"k": 2}, "inputs": {"u": {}},\n'
+        '{"format": "blocks-diagram", "version": 3, "parameters": {"k": 2}, "inputs": {"u": {}},\n'
         ' "outputs": {"y": "g.y"}, "blocks": {"g": {"type": "Gain", "parameters": {"k": "=k"}}}, '
         '"wires": {"g.u": "u"}}\n',
         encoding="utf-8",
     )
     (tmp_path / "top.json").write_text(
-        '{"format": "blocks-diagram", "version": 2, "blocks": {"s": {"type": "Step"}, "q": {"diagram": "p.json",\n'
+        '{"format": "blocks-diagram", "version": 3, "blocks": {"s": {"type": "Step"}, "q": {"diagram": "p.json",\n'
         ' "variants": {"other": {"type": "FirstOrder", "ports": {"u": "u", "k": "k"}}}}}, "wires": {"q.u": "s.y"},\n'
         ' "measures": {"m": {"type": "peak", "of": "q.y"}}}\n',
         encoding="utf-8",

@@ -95,7 +95,7 @@ def test_a_size_may_come_from_a_file_a_parameter_of_the_diagram_or_the_command_l
 ) -> None:
     make(tmp_path)
     document = {
-        "format": "blocks-diagram", "version": 2,
+        "format": "blocks-diagram", "version": 3,
         "parameters": {"size": 3},
         "blocks": {"one": {"fmu": "arrays.fmu", "kind": kind, "parameters": {"n": "=size", "a": 2}}},
         "inputs": {"u": {"size": 3, "default": [1, 2, 3]}}, "wires": {"one.u": "u"}, "outputs": {"y": "one.y"},

@@ -347,11 +347,11 @@ def test_a_residual_that_does_not_fit_is_refused() -> None:
 
 def test_a_loop_is_told_where_its_block_stands_in_the_text_also_in_a_subdiagram_of_another_file(tmp_path: Any) -> None:
     inner = (
-        '{"format": "blocks-diagram", "version": 2,\n "inputs": {"u": {}}, "outputs": {"y": "double.y"},\n'
+        '{"format": "blocks-diagram", "version": 3,\n "inputs": {"u": {}}, "outputs": {"y": "double.y"},\n'
         ' "blocks": {\n  "double": {"type": "Gain"}},\n "wires": {"double.u": "u"}}'
     )
     outer = (
-        '{"format": "blocks-diagram", "version": 2,\n "blocks": {\n  "part": {"diagram": "part.json"},\n'
+        '{"format": "blocks-diagram", "version": 3,\n "blocks": {\n  "part": {"diagram": "part.json"},\n'
         '  "back": {"type": "Gain"}},\n "wires": {"part.u": "back.y", "back.u": "part.y"}}'
     )
     (tmp_path / "part.json").write_text(inner, encoding="utf-8")

@@ -62,7 +62,7 @@ class Decay(Block):
         return x
 """
 DOCUMENT = {
-    "format": "blocks-diagram", "version": 2, "name": "decay", "blocks": {"tank": {"type": "Decay"}},
+    "format": "blocks-diagram", "version": 3, "name": "decay", "blocks": {"tank": {"type": "Decay"}},
     "run": {"stop": 2, "rtol": 1e-9, "atol": 1e-12},
 }  # fmt: skip
 

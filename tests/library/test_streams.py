@@ -187,7 +187,7 @@ def test_what_is_swapped_in_draws_from_the_stream_that_the_block_names() -> None
 
 
 def refused(blocks: dict[str, Any], **sections: Any) -> list[str]:
-    text = {"format": "blocks-diagram", "version": 2, "blocks": blocks, **sections}
+    text = {"format": "blocks-diagram", "version": 3, "blocks": blocks, **sections}
     with pytest.raises(ModelError) as caught:
         Diagram.from_json(json.dumps(text, indent=1)).check()
     return [f"{fault.code} {fault.place}: {fault.message}" for fault in caught.value.faults]
@@ -217,7 +217,7 @@ def test_a_stream_that_only_one_of_two_blocks_names_is_refused(blocks: dict[str,
 
 def test_streams_that_both_name_may_be_named_by_what_is_around_them() -> None:
     inside = {"diagram": {"blocks": {"n": PLAIN}}, "stream": "both"}
-    text = {"format": "blocks-diagram", "version": 2, "blocks": {"l": inside, "r": inside}, "run": {"stop": 1}}
+    text = {"format": "blocks-diagram", "version": 3, "blocks": {"l": inside, "r": inside}, "run": {"stop": 1}}
     results = Diagram.from_json(text).run()
     assert np.array_equal(results["l.n.y"], results["r.n.y"])
 
@@ -225,7 +225,7 @@ def test_streams_that_both_name_may_be_named_by_what_is_around_them() -> None:
 def test_a_stream_of_very_many_blocks_is_looked_through_at_once() -> None:
     blocks = {f"n{k}": {**PLAIN, "stream": "wind"} for k in range(6_000)}
     inside = {f"s{k}": {"diagram": {"blocks": {"n": PLAIN}}, "stream": "gusts"} for k in range(2_000)}
-    text = {"format": "blocks-diagram", "version": 2, "blocks": {**blocks, **inside}}
+    text = {"format": "blocks-diagram", "version": 3, "blocks": {**blocks, **inside}}
     Diagram.from_json(text).flatten()
 
 
@@ -439,7 +439,7 @@ def test_a_variant_that_draws_keeps_its_numbers_and_what_draws_nothing_gets_no_s
 
 
 def test_a_stream_is_put_in_where_the_text_has_its_own_form_and_is_told(tmp_path: Path, capsys: Any) -> None:
-    text = '{"format": "blocks-diagram", "version": 2,\n "blocks": {"n": {"doc": "x",\n\t"type" :"Noise"\n}}}'
+    text = '{"format": "blocks-diagram", "version": 3,\n "blocks": {"n": {"doc": "x",\n\t"type" :"Noise"\n}}}'
     path = tmp_path / "d.json"
     path.write_text(text, encoding="utf-8")
     assert main(["rename", str(path), "n", "m"]) == 0

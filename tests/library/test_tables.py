@@ -178,7 +178,7 @@ def cycle(tmp_path: Path, text: str = "# a cycle\ntime,speed\n0,0\n1,36\n3,36\n"
     speed = {"csv": "cycle.csv", "column": "speed", "unit": "km/h"} | column
     document = {
         "format": "blocks-diagram",
-        "version": 2,
+        "version": 3,
         "name": "drive",
         "blocks": {
             "cycle": {

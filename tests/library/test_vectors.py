@@ -192,7 +192,7 @@ def of_file(folder: Path, K: Any, **more: Any) -> Diagram:
     block = {"type": "MatrixGain", "parameters": {"K": K}}
     document = {
         "format": "blocks-diagram",
-        "version": 2,
+        "version": 3,
         "inputs": {"u": {"size": 3}},
         "blocks": {"gain": block},
         **more,

@@ -15,7 +15,7 @@ from blocks import Constant, Diagram, Gain, ModelError, Mux, Selector, Sine, Sum
 def document(**changes: Any) -> dict[str, Any]:
     """A pose that goes into a subdiagram, where its parts are taken by name."""
     made: dict[str, Any] = {
-        "format": "blocks-diagram", "version": 2, "name": "bus",
+        "format": "blocks-diagram", "version": 3, "name": "bus",
         "outputs": {"heading": "pose.y[theta]"},
         "blocks": {
             "x": {"type": "Constant", "parameters": {"value": 3, "unit": "m"}},

@@ -207,26 +207,6 @@ def test_noise_of_copies_is_that_of_their_paths() -> None:
 # --- files -----------------------------------------------------------------------------------------------------
 
 
-def test_a_diagram_without_copies_is_written_as_before() -> None:
-    plain = {"format": "blocks-diagram", "version": 2, "blocks": {"wave": {"type": "Sine"}}}
-    assert Diagram.from_json(plain).to_json()["version"] == 2
-    assert not Diagram.from_json(plain).flatten().warnings
-    assert Diagram.from_json({**plain, "version": 3}).to_json()["version"] == 3
-    made = Diagram("made")
-    made.add("wave", Sine())
-    assert made.to_json()["version"] == 2
-    made.add("lags", FirstOrder(T=[0.1, 0.2]), copies=2)
-    assert made.to_json()["version"] == 3
-    assert Diagram.from_json(made.dumps()).dumps() == made.dumps()
-
-
-def test_copies_in_a_file_of_version_2_are_refused() -> None:
-    document = {**diagram().to_json(), "version": 2}
-    (fault,) = [f for f in _error(document).faults if f.code == "E005"]
-    assert fault.place == "blocks.robots.copies"
-    assert fault.cure == 'Write "version": 3.'
-
-
 def _error(document: dict[str, Any]) -> ModelError:
     with pytest.raises(ModelError) as caught:
         Diagram.from_json(document)

@@ -30,7 +30,7 @@ GAIN = {"type": "Gain"}
 
 def text(*lines: str) -> str:
     """A diagram's text from the lines behind its header: the first one given is line 3."""
-    return "\n".join(['{"format": "blocks-diagram",', ' "version": 2,', *lines]) + "\n"
+    return "\n".join(['{"format": "blocks-diagram",', ' "version": 3,', *lines]) + "\n"
 
 
 def faults(source: str | dict[str, Any]) -> list[tuple[str, str, int, int]]:
@@ -59,13 +59,13 @@ def project(folder: Path, **texts: dict[str, Any]) -> Path:
 
 
 def test_a_file_without_a_format_is_refused_with_how_to_begin() -> None:
-    fault = only('{"version": 2}')
+    fault = only('{"version": 3}')
     assert (fault.code, fault.message) == ("E009", 'the key "format" is missing.')
     assert 'Begin with {"format": "blocks-diagram"' in fault.cure
 
 
 def test_a_file_of_another_format_is_refused() -> None:
-    fault = only('{"format": "flow-chart", "version": 2}')
+    fault = only('{"format": "flow-chart", "version": 3}')
     assert (fault.code, fault.place, fault.line, fault.column) == ("E006", "format", 1, 12)
 
 
@@ -80,7 +80,7 @@ def test_a_later_version_asks_for_an_update_and_another_one_does_not() -> None:
     )
     assert [fault.code for fault in (later, odd, bool_)] == ["E005"] * 3
     assert "Update blocks" in later.cure
-    assert odd.cure == bool_.cure == 'Write "version": 2.'
+    assert odd.cure == bool_.cure == 'Write "version": 3.'
     assert "reads version 3" in only('{"format": "blocks-diagram", "version": 0.5}').cure
     assert "reads version 3" in only('{"format": "blocks-diagram", "version": 0}').cure
     assert only('{"format": "blocks-diagram"}').message == 'the key "version" is missing.'
@@ -98,14 +98,14 @@ def test_a_fault_of_the_first_two_keys_hides_no_other() -> None:
     for header in ('{"format": "blocks-diagram", ', '{"format": "blocks-diagram", "version": "1", ', "{"):
         assert [fault[0] for fault in faults(header + wrong)][1:] == ["E003"]
     # What another version means by its keys is not known.
-    for header in ('{"format": "blocks-diagram", "version": 99, ', '{"format": "blocks-dia", "version": 2, '):
+    for header in ('{"format": "blocks-diagram", "version": 99, ', '{"format": "blocks-dia", "version": 3, '):
         assert len(faults(header + wrong)) == 1
 
 
 def test_slips_of_the_text_hide_no_fault_of_the_structure() -> None:
     text = (
         "\ufeff"
-        + """{"format": "blocks-diagram", "version": 2, // a loop
+        + """{"format": "blocks-diagram", "version": 3, // a loop
  "blocks": {
   "g": {"type": "Gain", "k": 1,},
   "h": {"typ": "Gain", 'parameters': {"k": 1e999}}
@@ -182,7 +182,7 @@ def test_keys_that_begin_with_x_are_kept_everywhere() -> None:
         ("blocks", {"g": {"type": "Gain", "parameters": {"k": [1, None]}}}, "E004", "blocks.g.parameters.k.1"),
         ("blocks", {"g": {"type": "Gain", "parameters": {"k": [1, True]}}}, "E004", "blocks.g.parameters.k.1"),
         ("blocks", {"g": {"type": "Gain", "parameters": {"k": {"unit": "V"}}}}, "E009", "blocks.g.parameters.k"),
-        ("blocks", {"g": {"diagram": {"version": 2}}}, "E003", "blocks.g.diagram.version"),
+        ("blocks", {"g": {"diagram": {"version": 3}}}, "E003", "blocks.g.diagram.version"),
         ("blocks", {"2g": GAIN}, "E111", "blocks.2g"),
         ("blocks", {"größe": GAIN}, "E111", "blocks.größe"),
         ("blocks", {"a.b": GAIN}, "E111", "blocks.a.b"),
@@ -650,7 +650,7 @@ def test_what_a_file_says_of_an_fmu_is_kept_as_it_is_written() -> None:
         '  "motor": {"fmu": "../fmus/X.fmu", "kind": "CS", "isolate": true, "timeout": 1e1, "doc": "a plant", '
         '"parameters": {"Ra": 0.20, "body.m[1]": {"value": 5, "unit": "g"}}, "x-own": 1}\n'
     )
-    source = '{\n "format": "blocks-diagram",\n "version": 2,\n "name": "d",\n "blocks": {\n' + line + " }\n}\n"
+    source = '{\n "format": "blocks-diagram",\n "version": 3,\n "name": "d",\n "blocks": {\n' + line + " }\n}\n"
     value = loads(source)
     assert dumps(value) == source
     entry = value.blocks["motor"]

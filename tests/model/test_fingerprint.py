@@ -14,7 +14,7 @@ from blocks.model.fingerprint import fingerprint
 
 PART = {
     "format": "blocks-diagram",
-    "version": 2,
+    "version": 3,
     "name": "part",
     "parameters": {"k": 2},
     "inputs": {"u": {}},
@@ -24,7 +24,7 @@ PART = {
 }
 WHOLE = {
     "format": "blocks-diagram",
-    "version": 2,
+    "version": 3,
     "name": "whole",
     "inputs": {"r": {"default": 1}},
     "blocks": {"part": {"diagram": "part.json", "parameters": {"k": 3}}},

@@ -128,7 +128,7 @@ def resolver(name: str) -> Any:
 
 
 def document(**sections: Any) -> dict[str, Any]:
-    return {"format": "blocks-diagram", "version": 2, "name": "d", **sections}
+    return {"format": "blocks-diagram", "version": 3, "name": "d", **sections}
 
 
 def flat(parameters: dict[str, Any] | None = None, /, **sections: Any) -> Flat:
@@ -227,12 +227,12 @@ def test_an_unknown_type_is_told_with_the_nearest_and_at_its_line() -> None:
     cure = "Did you mean 'Gain'? `blocks list` shows the types; --library adds your own."
     assert told(fault) == ("E103", "g", 'there is no block type "Gian".', cure)
     assert "--library" in only(blocks={"g": {"type": "Zzzzzz"}}).cure
-    source = '{"format": "blocks-diagram", "version": 2,\n "blocks": {\n  "g": {"type": "Gian"}}}'
+    source = '{"format": "blocks-diagram", "version": 3,\n "blocks": {\n  "g": {"type": "Gian"}}}'
     assert in_text(source) == [("E103", "g", 3, 17)]
 
 
 def test_an_fmu_that_is_not_there_is_told_with_its_block() -> None:
-    document = {"format": "blocks-diagram", "version": 2, "name": "d", "blocks": {"g": {"fmu": "a.fmu"}}}
+    document = {"format": "blocks-diagram", "version": 3, "name": "d", "blocks": {"g": {"fmu": "a.fmu"}}}
     with pytest.raises(ModelError) as caught:
         Diagram.from_json(document).flatten()
     assert [(fault.code, fault.place) for fault in caught.value.faults] == [("E007", "g")]
@@ -343,7 +343,7 @@ def test_names_with_dots_do_not_reach_into_subdiagrams() -> None:
 
 def test_different_quantities_are_told_with_both_ends() -> None:
     source = (
-        '{"format": "blocks-diagram", "version": 2,\n'
+        '{"format": "blocks-diagram", "version": 3,\n'
         ' "blocks": {"motor": {"type": "PMDCMotor"}, "kin": {"type": "Constant", "parameters": {"unit": "rad"}}},\n'
         ' "wires": {\n'
         '  "motor.v": "kin.y"}}'
@@ -1008,7 +1008,7 @@ def test_a_measure_that_cannot_be_taken_is_told(measure: dict[str, Any], code: s
 def test_all_faults_of_a_file_are_told_once_in_the_order_of_the_text() -> None:
     source = "\n".join(
         [
-            '{"format": "blocks-diagram", "version": 2,',
+            '{"format": "blocks-diagram", "version": 3,',
             ' "parameters": {"a": "=b", "p": {"value": 1, "unit": "Vv"}},',
             ' "outputs": {"o": "g.z"},',
             ' "blocks": {',

@@ -39,7 +39,7 @@ def written(folder: Path, gain: str = "2.0", name: str = "stale_library", head: 
 
 def gain(library: object = "stale_library") -> float:
     blocks = {"b": {"type": "Mine"}}
-    document = {"format": "blocks-diagram", "version": 2, "name": "d", "inputs": {"u": {"default": 1}}}
+    document = {"format": "blocks-diagram", "version": 3, "name": "d", "inputs": {"u": {"default": 1}}}
     document |= {"blocks": blocks, "wires": {"b.u": "u"}}
     diagram = Diagram.from_json(document, library=library)  # type: ignore[arg-type]
     return float(diagram.run(stop=1, engine="reference")["b.y"][-1])

@@ -167,7 +167,7 @@ _folders: list[tempfile.TemporaryDirectory[str]] = []
 @settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
 @given(diagrams)
 def test_a_diagram_with_everything_is_identical_when_it_was_written_and_read(body: dict[str, Any]) -> None:
-    source = {"format": "blocks-diagram", "version": 2, **body}
+    source = {"format": "blocks-diagram", "version": 3, **body}
     value = document.from_document(source, folder=folder())
     written = document.dumps(value)
     again = document.loads(written, folder=folder())
@@ -243,7 +243,7 @@ def shipped() -> dict[str, bytes]:
 
 @functools.cache
 def plan() -> Any:
-    source = {"format": "blocks-diagram", "version": 2, "inputs": {"r": {}}, "outputs": {"y": "r"}, "run": {"stop": 1}}
+    source = {"format": "blocks-diagram", "version": 3, "inputs": {"r": {}}, "outputs": {"y": "r"}, "run": {"stop": 1}}
     return Diagram.from_json(source).check()
 
 

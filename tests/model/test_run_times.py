@@ -135,7 +135,7 @@ def test_what_comes_out_is_checked_as_a_number_is() -> None:
 
 
 def test_the_place_in_the_file_is_that_of_the_expression() -> None:
-    text = json.dumps({"format": "blocks-diagram", "version": 2, "run": {"stop": 1, "stops": [0.5, "=q"]}}, indent=1)
+    text = json.dumps({"format": "blocks-diagram", "version": 3, "run": {"stop": 1, "stops": [0.5, "=q"]}}, indent=1)
     with pytest.raises(ModelError) as caught:
         Diagram.from_json(text).check()
     (fault,) = caught.value.faults
@@ -190,8 +190,8 @@ def test_the_schema_knows_them() -> None:
         "stops": ["=T"],
         "master": {"step": "=T", "steps": {"a": "=T"}},
     }
-    assert [*schema.iter_errors({"format": "blocks-diagram", "version": 2, "run": run})] == []
-    assert [*schema.iter_errors({"format": "blocks-diagram", "version": 2, "run": {"stop": "T"}})] != []
+    assert [*schema.iter_errors({"format": "blocks-diagram", "version": 3, "run": run})] == []
+    assert [*schema.iter_errors({"format": "blocks-diagram", "version": 3, "run": {"stop": "T"}})] != []
 
 
 def test_in_an_fmu_the_step_stays_and_so_what_it_is_computed_from() -> None:
@@ -211,6 +211,6 @@ def test_differences_are_told_as_those_of_other_values() -> None:
 def test_a_time_that_looks_like_an_expression_says_how_one_is_written(
     text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "d.json").write_text('{"format": "blocks-diagram", "version": 2, "inputs": {"r": {"default": 1}}}')
+    (tmp_path / "d.json").write_text('{"format": "blocks-diagram", "version": 3, "inputs": {"r": {"default": 1}}}')
     assert main(["run", str(tmp_path / "d.json"), "--every", text]) != 0
     assert f'Begin an expression with "=": --every "={text}".' in capsys.readouterr().err

@@ -200,7 +200,7 @@ def test_all_faults_are_told_at_once() -> None:
 
 
 def faults_of(run: str, **settings: Any) -> tuple[Fault, ...]:
-    source = f'{{"format": "blocks-diagram",\n "version": 2,\n "run": {run}}}'
+    source = f'{{"format": "blocks-diagram",\n "version": 3,\n "run": {run}}}'
     with pytest.raises(ModelError) as caught:
         flatten(document.loads(source, file="d.json"), LIBRARY.__getitem__, settings=settings)
     return caught.value.faults
@@ -314,7 +314,7 @@ def test_a_setting_of_the_master_on_top_replaces_that_one_only() -> None:
 
 LAG = {
     "format": "blocks-diagram",
-    "version": 2,
+    "version": 3,
     "blocks": {"one": {"type": "Constant"}, "lag": {"type": "Integrator"}},
     "wires": {"lag.u": "one.y"},
 }

@@ -48,7 +48,7 @@ def project(tmp_path: Path, name: str = "project", *, mark: str = "pyproject.tom
 def write(path: Path, fmu_path: str, **options: Any) -> Path:
     source = {
         "format": "blocks-diagram",
-        "version": 2,
+        "version": 3,
         "name": path.stem,
         "inputs": {"v": {"unit": "V", "default": 6}},
         "outputs": {"omega": "motor.omega"},
@@ -226,7 +226,7 @@ def test_fmus_of_variants_and_subdiagrams_count_where_they_are_taken(tmp_path: P
     assert "E218" in text
     outer = {
         "format": "blocks-diagram",
-        "version": 2,
+        "version": 3,
         "blocks": {"a": {"diagram": "inner.json"}, "b": {"diagram": "inner.json"}},
         "run": {"stop": 1},
     }
@@ -424,7 +424,7 @@ def test_check_warns_of_what_run_refuses_and_says_how_to_trust_it(
     for folder in (project, away):
         shutil.copy(MOTOR, folder / MOTOR.name)
     blocks = {"near": {"fmu": MOTOR.name}, "far": {"fmu": f"../away/{MOTOR.name}"}}
-    text = {"format": "blocks-diagram", "version": 2, "blocks": blocks, "run": {"stop": 0.01, "log": ["far.omega"]}}
+    text = {"format": "blocks-diagram", "version": 3, "blocks": blocks, "run": {"stop": 0.01, "log": ["far.omega"]}}
     for entry in blocks.values():
         entry["kind"] = "ME"
     made = project / "two.json"

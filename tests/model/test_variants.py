@@ -347,7 +347,7 @@ def test_a_variant_of_a_block_in_a_subdiagram_goes_by_its_path(tmp_path: Path) -
         made = source.run(variants={"b.motor": BASE})
         assert not np.array_equal(made["a.motor.omega"], made["b.motor.omega"])
         assert np.array_equal(made["a.motor.omega"], made["a.speed"])
-    from_file = {"format": "blocks-diagram", "version": 2, "blocks": {k: {"diagram": "inner.json"} for k in ("a", "b")}}
+    from_file = {"format": "blocks-diagram", "version": 3, "blocks": {k: {"diagram": "inner.json"} for k in ("a", "b")}}
     loaded = Diagram.from_json(from_file, folder=tmp_path, library=Motor)
     made = loaded.run(stop=1, variants={"b.motor": BASE}, log=["a.motor.omega", "b.motor.omega"])
     both = loaded.run(stop=1, log=["a.motor.omega", "b.motor.omega"])
@@ -389,7 +389,7 @@ def test_a_diagram_that_grows_without_end_does_not_take_for_ever() -> None:
 def document(**motor: Any) -> dict[str, Any]:
     return {
         "format": "blocks-diagram",
-        "version": 2,
+        "version": 3,
         "name": "d",
         "blocks": {"one": {"type": "Constant"}, "lag": {"type": "Integrator", **motor}},
         "wires": {"lag.u": "one.y"},
@@ -465,7 +465,7 @@ def test_faults_of_variants_are_told_in_their_place(motor: dict[str, Any], expec
 def test_a_fault_in_a_variant_stands_where_the_file_has_it(tmp_path: Path) -> None:
     path = tmp_path / "d.json"
     path.write_text(
-        """{"format": "blocks-diagram", "version": 2,
+        """{"format": "blocks-diagram", "version": 3,
  "blocks": {
   "one": {"type": "Constant"},
   "lag": {"type": "Integrator",
@@ -622,7 +622,7 @@ def test_a_trusted_fmu_outside_the_project_runs(tmp_path: Path) -> None:
     shutil.copy(MOTOR, tmp_path / "there" / "m.fmu")
     source = {
         "format": "blocks-diagram",
-        "version": 2,
+        "version": 3,
         "inputs": {"v": {"unit": "V", "default": 6}},
         "blocks": {"motor": {"fmu": "../there/m.fmu", "kind": "CS"}},
         "wires": {"motor.v": "v"},

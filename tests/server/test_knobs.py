@@ -26,7 +26,7 @@ Do = Callable[..., dict[str, Any]]
 
 LOOP = """{
  "format": "blocks-diagram",
- "version": 2,
+ "version": 3,
  "name": "loop",
  "parameters": {
   "T":   {"value": 2000,  "unit": "ms", "doc": "time constant"}
@@ -299,7 +299,7 @@ def test_a_run_that_fails_tells_its_block_and_what_came_in(opened: Callable[[Any
     square = {"type": "Product"}
     inner = {"outputs": {"y": "x.y"}, "blocks": {"x": entry, "square": square}}
     inner["wires"] = {"x.u": "square.y", "square.u1": "x.y", "square.u2": "x.y"}
-    file = {"format": "blocks-diagram", "version": 2, "name": "f", "blocks": {"in": {"diagram": inner}}}
+    file = {"format": "blocks-diagram", "version": 3, "name": "f", "blocks": {"in": {"diagram": inner}}}
     session = opened(Diagram.from_json({**file, "run": {"stop": 2}}))
     live = session.begin()
     live.go()

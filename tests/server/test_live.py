@@ -257,7 +257,7 @@ def test_a_second_signal_ends_a_command_whose_fmu_hangs(tmp_path: Path) -> None:
     (tmp_path / "unpacked").mkdir()
     make(tmp_path, name="plant")
     fault = {"fault": FAULTS.index("hang"), "t_fault": 0.0}
-    text = {"format": "blocks-diagram", "version": 2, "name": "hangs", "run": {"stop": 100}}
+    text = {"format": "blocks-diagram", "version": 3, "name": "hangs", "run": {"stop": 100}}
     text |= {"blocks": {"f": {"fmu": "plant.fmu", "kind": "CS", "parameters": fault}}}
     (tmp_path / "hangs.json").write_text(json.dumps(text))
     words = [sys.executable, "-m", "blocks", "live", str(tmp_path / "hangs.json"), "--json"]

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("no_thread_left")
 PATIENCE = 60.0  # s; for a machine that stands still
 ENGINES = ("native", "reference")
 MIXED = {
-    "format": "blocks-diagram", "version": 2, "name": "mixed", "inputs": {"r": {"default": 1.0}},
+    "format": "blocks-diagram", "version": 3, "name": "mixed", "inputs": {"r": {"default": 1.0}},
     "blocks": {
         "error": {"type": "Sum", "parameters": {"signs": "+-"}},
         "relay": {"type": "Relay", "parameters": {"on_at": 0.1, "off_at": -0.1, "on": 0.5, "off": -0.5}},
@@ -194,7 +194,7 @@ def test_a_run_that_fails_keeps_its_rows_and_names_the_block(tmp_path: Path, eng
     run = {"stop": 3, "every": 0.125, "log": ["x.y", "b.y", "a.y"]}
     path = tmp_path / "fails.json"
     path.write_text(
-        json.dumps({"format": "blocks-diagram", "version": 2, "blocks": blocks, "wires": wires, "run": run}),
+        json.dumps({"format": "blocks-diagram", "version": 3, "blocks": blocks, "wires": wires, "run": run}),
         encoding="utf-8",
     )
     with pytest.raises(SimulationError) as plain:

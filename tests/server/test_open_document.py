@@ -18,11 +18,11 @@ from blocks.server.session import Session
 
 GAIN = {"type": "Gain", "parameters": {"k": 0.5}}
 LOOP: dict[str, Any] = {
-    "format": "blocks-diagram", "version": 2, "name": "loop", "inputs": {"u": {"default": 1.0}},
+    "format": "blocks-diagram", "version": 3, "name": "loop", "inputs": {"u": {"default": 1.0}},
     "blocks": {"gain": {**GAIN, "variants": {"other": GAIN}}, "inner": {"diagram": "inner.json"}},
     "wires": {"gain.u": "u"}, "run": {"stop": 1},
 }  # fmt: skip
-INNER = {"format": "blocks-diagram", "version": 2, "blocks": {"one": {"type": "Constant"}}}
+INNER = {"format": "blocks-diagram", "version": 3, "blocks": {"one": {"type": "Constant"}}}
 
 
 @pytest.fixture

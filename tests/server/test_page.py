@@ -16,7 +16,7 @@ pytestmark = pytest.mark.long
 HEADING = "document.querySelector('#panel h2')?.innerText"
 PLACE = "document.getElementById('stage').style.transform"
 FAULTY = {
-    "format": "blocks-diagram", "version": 2, "name": "faulty",
+    "format": "blocks-diagram", "version": 3, "name": "faulty",
     "doc": "</script><img src=x onerror=document.title='evil'>",
     "blocks": {
         "step": {"type": "Step", "doc": "<img src=x onerror=document.title='evil'>"},

@@ -153,7 +153,7 @@ def test_no_text_of_a_class_or_a_file_becomes_html() -> None:
 
 
 def test_a_diagram_with_faults_is_told_as_far_as_it_can_be() -> None:
-    text = """{"format": "blocks-diagram", "version": 2, "name": "f", "doc": ["one", "- two", "three: `four`"],
+    text = """{"format": "blocks-diagram", "version": 3, "name": "f", "doc": ["one", "- two", "three: `four`"],
       "blocks": {"odd": {"type": "Gainn", "parameters": {"k": 2}},
         "sum": {"type": "Sum", "parameters": {"signs": "+-"}}},
       "wires": {"sum.u1": "odd.y"}}"""

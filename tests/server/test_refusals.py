@@ -260,7 +260,7 @@ def test_a_live_run_takes_the_fmus_that_a_run_takes(tmp_path: Path) -> None:
     (project / "pyproject.toml").touch()
     shutil.copy(ROOT / "fmus" / "PMDCMotor.fmu", tmp_path / "m.fmu")
     text = {
-        "format": "blocks-diagram", "version": 2, "name": "motor",
+        "format": "blocks-diagram", "version": 3, "name": "motor",
         "blocks": {"motor": {"fmu": "../m.fmu", "kind": "ME"}, "v": {"type": "Constant"}},
         "wires": {"motor.v": "v.y"}, "run": {"stop": 1},
     }  # fmt: skip

@@ -561,7 +561,7 @@ def test_what_a_type_is_stands_beside_its_name() -> None:
 def test_a_file_that_names_its_schema_keeps_it_first_and_means_the_same(tmp_path: Path) -> None:
     plain = Diagram.from_json(document(blocks={"g": {"type": "Sine"}}))
     path = tmp_path / "d.json"
-    path.write_text(json.dumps({"format": "blocks-diagram", "version": 2, "$schema": "./s.json", "name": "d",
+    path.write_text(json.dumps({"format": "blocks-diagram", "version": 3, "$schema": "./s.json", "name": "d",
                                 "blocks": {"g": {"type": "Sine"}}}), encoding="utf-8")  # fmt: skip
     made = Diagram.load(path)
     assert made.dumps() == plain.dumps().replace("{", '{\n "$schema": "./s.json",', 1)

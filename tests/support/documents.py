@@ -31,13 +31,13 @@ def span(path: Path, most: float) -> float:
 
 
 def document(**sections: Any) -> dict[str, Any]:
-    return {"format": "blocks-diagram", "version": 2, "name": "d", **sections}
+    return {"format": "blocks-diagram", "version": 3, "name": "d", **sections}
 
 
 NESTED = """\
 {
  "format": "blocks-diagram",
- "version": 2,
+ "version": 3,
  "name": "outer",
  "doc": "one line",
  "parameters": {

@@ -71,7 +71,7 @@ def text(name: str, made: Any, code: str, says: str = "", **more: Any) -> None:
 
 
 def document(**sections: Any) -> dict[str, Any]:
-    return {"format": "blocks-diagram", "version": 2, "name": "d", **sections}
+    return {"format": "blocks-diagram", "version": 3, "name": "d", **sections}
 
 
 def diagram(what: str, code: str, says: str = "", /, *, more: dict[str, Any] | None = None, **sections: Any) -> None:
@@ -114,7 +114,7 @@ def expression(what: str, written: str, code: str = "E108", says: str = "", /, *
 # --- texts -----------------------------------------------------------------------------------------------------
 
 SOUND = json.dumps(document(inputs={"r": {"default": 1}}, blocks={"g": {"type": "Gain"}}, wires={"g.u": "r"}))
-HEAD = '{"format": "blocks-diagram", "version": 2, '
+HEAD = '{"format": "blocks-diagram", "version": 3, '
 
 text("an empty file", b"", "E001")
 text("a file of one space", b" ", "E001")
@@ -180,13 +180,13 @@ text("a random file", random.Random(0).randbytes(100_000), "E001")
 
 # --- header and keys -------------------------------------------------------------------------------------------
 
-text("a newer version", SOUND.replace('"version": 2', '"version": 4'), "E005", "Update blocks")
-text("a much newer version", SOUND.replace('"version": 2', '"version": 1e300'), "E005", "Update blocks")
-text("version 0", SOUND.replace('"version": 2', '"version": 0'), "E005")
-text("version true", SOUND.replace('"version": 2', '"version": true'), "E005")
-text("a version as a text", SOUND.replace('"version": 2', '"version": "2"'), "E005")
-text("a version as a list", SOUND.replace('"version": 2', '"version": [2]'), "E005")
-text("no version", SOUND.replace('"version": 2, ', ""), "E009", "version")
+text("a newer version", SOUND.replace('"version": 3', '"version": 4'), "E005", "Update blocks")
+text("a much newer version", SOUND.replace('"version": 3', '"version": 1e300'), "E005", "Update blocks")
+text("version 0", SOUND.replace('"version": 3', '"version": 0'), "E005")
+text("version true", SOUND.replace('"version": 3', '"version": true'), "E005")
+text("a version as a text", SOUND.replace('"version": 3', '"version": "3"'), "E005")
+text("a version as a list", SOUND.replace('"version": 3', '"version": [3]'), "E005")
+text("no version", SOUND.replace('"version": 3, ', ""), "E009", "version")
 text("no format", SOUND.replace('"format": "blocks-diagram", ', ""), "E009", "format")
 text("another format", SOUND.replace("blocks-diagram", "blocks-paper"), "E006")
 text("a format that a terminal would obey", SOUND.replace("blocks-diagram", "\\u001b[31mred\\u009b2J"), "E006")
@@ -1126,7 +1126,7 @@ for words in (
 ):
     for what, made, code in (
         ("a text that is not UTF-8", b"\xff\xfe\xfa", "E001"),
-        ("a newer version", SOUND.replace(": 2,", ": 4,", 1), "E005"),
+        ("a newer version", SOUND.replace(": 3,", ": 4,", 1), "E005"),
         ("a circle of files", json.dumps(using("a.json")), "E113"),
     ):
         files(f"{words[0]}: {what}", code, given={"a.json": made}, reads=(words,))

@@ -82,7 +82,7 @@ MENDED: dict[str, list[tuple[str, str]]] = {
     "E004": [('"FirstOrder"}', '{"type": "FirstOrder"}}')],
     "E005": [("99", "2"), ('"FirstOrder"', '"BouncingBall"')],
     "E007": [("controler.json", "controller.json")],
-    "E009": [("{\n", '{\n "format": "blocks-diagram", "version": 2,\n')],
+    "E009": [("{\n", '{\n "format": "blocks-diagram", "version": 3,\n')],
     "E101": [('"plant.u"', '"error.u2": "plant.y",\n  "plant.u"')],
     "E102": [('"Gain", "parameters": {"k": 5}', '"FirstOrder"')],
     "E103": [("FirstOrdr", "FirstOrder")],

@@ -31,7 +31,7 @@ from blocks.text.printable import quoted
 CANONICAL = """\
 {
  "format": "blocks-diagram",
- "version": 2,
+ "version": 3,
  "blocks": {
   "error": {"type": "Sum", "parameters": {"signs": "+-"}},
   "motor": {"fmu": "../fmus/PMDCMotor.fmu", "x-note": "größer \\"als\\" 1 µm\\n\\t\\\\ \\u0007 \\u2028 😀"}
