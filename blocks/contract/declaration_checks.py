@@ -92,6 +92,8 @@ def _check_types(declaration: Declaration, known: _Known) -> None:
             if known.parameters.get(parameter.name) is not parameter:
                 refuse("E402", place, f"its unit is of {parameter!r}, which is not a parameter of this block.")
         known.check(variable.unit, place, "the unit", structural=True)
+        if isinstance(variable.ports, Parameter) and known.parameters.get(variable.ports.name) is not variable.ports:
+            refuse("E402", place, f"its ports are {variable.ports!r}, which is not a parameter of this block.")
         for size in variable.shape if isinstance(variable.shape, tuple) else (variable.shape,):
             known.check(size, place, "the shape", structural=True)
         if isinstance(variable, State):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from .reads import Function, arguments, refuse
-from .variables import AnyUnit, Clock, Discrete, Equation, Kind, Role, Shape, State, Variable, checked_type
+from .variables import AnyUnit, Clock, Discrete, Equation, Kind, Ports, Role, Shape, State, Variable, checked_type
 
 __all__ = [
     "Computed",
@@ -34,7 +34,7 @@ class Computed(Variable):
     role: ClassVar[str]
     fills: Open | None = None  # what an abstract class has left open
 
-    def __init__(self, function: Function, unit: AnyUnit, shape: Shape, ports: str, doc: str) -> None:
+    def __init__(self, function: Function, unit: AnyUnit, shape: Shape, ports: Ports, doc: str) -> None:
         if isinstance(function, (Equation, Variable)):
             refuse(
                 "E403",
@@ -88,7 +88,7 @@ class Output(Computed):
         *,
         unit: AnyUnit,
         shape: Shape,
-        ports: str,
+        ports: Ports,
         type: Kind,
         clock: Clock | None,
         start: object,
@@ -143,7 +143,7 @@ def output(
     *,
     unit: AnyUnit = "",
     shape: Shape = (),
-    ports: str = "",
+    ports: Ports = "",
     type: Kind = "real",
     every: object = None,
     offset: object = 0,
@@ -165,7 +165,7 @@ def output(
     return Open(Output, declare) if function is None else declare(function)
 
 
-def wiring(function: Function | None = None, *, shape: Shape = (), ports: str = "", doc: str = "") -> Any:
+def wiring(function: Function | None = None, *, shape: Shape = (), ports: Ports = "", doc: str = "") -> Any:
     """Decorator: an output that only re-arranges the elements of inputs. It costs nothing: wires go through it."""
 
     def declare(function: Function) -> Output:

@@ -7,7 +7,8 @@ A block class leaves sizes open (`order`, the length of `num`); its structural v
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import Fault, ModelError
+from ..text.printable import counted, quoted
 from ..text.units import Declared, OfUnits, difference, has_offset, si_text, single, to_si
 from .declaration import Declaration
 from .reads import arguments
@@ -24,6 +26,7 @@ from .variables import Discrete, Parameter, State, Variable
 # Every element of a state, and every port, is looked at by itself; a matrix is not.
 LARGEST, LARGEST_MEMORY, MOST_PORTS = 1_000_000, 20_000, 100_000
 """The most elements of a variable, of a state or a discrete, and of a variable whose elements are ports."""
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}", re.ASCII).fullmatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +186,8 @@ class Interface:
             values = np.broadcast_to(np.asarray(default, dtype=float), shape).reshape(-1).tolist()
             defaults = tuple(to_si(value, u) if u else value for value, u in zip(values, declared, strict=True))
         type_ = variable.type
-        if variable.ports:
-            for index in range(len(si)):
-                name = variable.ports.format(index + 1)
+        if names := self._element_names(variable, len(si)):
+            for index, name in enumerate(names):
                 yield Port(
                     name,
                     variable.name,
@@ -199,6 +201,24 @@ class Interface:
                 )
         else:
             yield Port(variable.name, variable.name, shape, 0, len(si), si, declared, type_, defaults)
+
+    def _element_names(self, variable: Variable, size: int) -> Sequence[str]:
+        """Return the names of the ports of the elements of a variable; none if the whole variable is one port."""
+        if isinstance(variable.ports, str):
+            return [variable.ports.format(index + 1) for index in range(size)] if variable.ports else ()
+        names = self._given_names(variable)
+        place, cure = f"{self.name}.{variable.ports.name}", 'Give one name for each element, as in "a, b".'
+        if wrong := [name for name in names if not _NAME(name)]:
+            raise ModelError(Fault("E110", place, f"{quoted(wrong[0])} cannot be the name of a port.", cure))
+        if names and len(names) != size:
+            elements = f"{variable.name} has {counted(size, 'element')}"
+            raise ModelError(Fault("E110", place, f"has {counted(len(names), 'name')}, but {elements}.", cure))
+        return names
+
+    def _given_names(self, variable: Variable) -> list[str]:
+        """Return the names of the ports of a variable that the block was given."""
+        text = "" if isinstance(variable.ports, str) else self.structural[variable.ports.name]
+        return [name.strip() for name in text.split(",")] if text else []
 
     def _named(self, variables: Iterable[Variable]) -> dict[str, Port]:
         ports: dict[str, Port] = {}
@@ -219,7 +239,15 @@ class Interface:
         memories: list[Any] = [*d.states.values(), *d.discretes.values(), *d.algebraics.values()]
         stepped = d.stepped.values()
         given = (signal for signal in d.given.values() if not signal.is_local)
-        return self._named([*d.outputs.values(), *stepped, *given, *(memory for memory in memories if memory.output)])
+        taken = {name for variable in (*d.inputs.values(), *d.outputs.values()) for name in self._given_names(variable)}
+        # A plant with an output "x" is common: then the vector of its states has no port, but keeps its paths.
+        shown = (memory for memory in memories if memory.output and memory.name not in taken)
+        ports = self._named([*d.outputs.values(), *stepped, *given, *shown])
+        for name in taken & (ports.keys() & self.inputs.keys() | d.parameters.keys()):
+            what = "a parameter" if name in d.parameters else "both an input and an output"
+            cure = "Choose another name."
+            raise ModelError(Fault("E109", f"{self.name}.{name}", f"is the name of {what}.", cure))
+        return ports
 
     @cached_property
     def locals(self) -> dict[str, Port]:

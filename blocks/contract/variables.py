@@ -31,6 +31,8 @@ Shape = int | str | tuple[int | str, ...] | Function
 
 AnyUnit: TypeAlias = "str | Function | Parameter"
 """What `unit=` takes: a text, a unit parameter of the class or an expression of some, or a function."""
+Ports: TypeAlias = "str | Parameter"
+"""What `ports=` takes: a name with {} for the number, or a structural text of the class that lists the names."""
 
 
 class Variable:
@@ -42,7 +44,7 @@ class Variable:
     type: str
     members: Mapping[str, int] = MappingProxyType({})  # of an enumeration
 
-    def __init__(self, unit: AnyUnit, shape: Shape, ports: str, doc: str) -> None:
+    def __init__(self, unit: AnyUnit, shape: Shape, ports: Ports, doc: str) -> None:
         self.unit: str | Function = unit.as_unit() if isinstance(unit, Parameter) else unit
         self.shape, self.ports, self.doc = shape, ports, doc
 
@@ -76,7 +78,10 @@ class Variable:
                 refuse("E405", place, f"unit {fault.message}", fault.cure)
         elif not callable(self.unit):
             refuse("E405", place, f"unit={self.unit!r} is neither a text nor a function of structural parameters.")
-        if self.ports and (self.ports.count("{}") != 1 or not self.ports.replace("{}", "1").isidentifier()):
+        if isinstance(self.ports, Parameter):
+            if self.ports.type != "string":
+                refuse("E405", place, f"ports={self.ports!r} is not a text.", 'Declare it with type="string".')
+        elif self.ports and (self.ports.count("{}") != 1 or not self.ports.replace("{}", "1").isidentifier()):
             refuse("E405", place, f"ports={self.ports!r} must be a name with {{}} for the number, as in 'u{{}}'.")
         sizes = self.shape if isinstance(self.shape, tuple) else (self.shape,)
         for size in sizes:
@@ -253,7 +258,7 @@ class Input(Variable):
         *,
         unit: AnyUnit = "",
         shape: Shape = (),
-        ports: str = "",
+        ports: Ports = "",
         type: Kind = "real",
         doc: str = "",
     ) -> None:
@@ -265,7 +270,7 @@ class Input(Variable):
 class Memory(Variable):
     """What a run remembers: states and discretes."""
 
-    def __init__(self, start: object, unit: AnyUnit, shape: Shape, ports: str, output: bool, doc: str) -> None:
+    def __init__(self, start: object, unit: AnyUnit, shape: Shape, ports: Ports, output: bool, doc: str) -> None:
         super().__init__(unit, shape, ports, doc)
         self.start, self.output = start, output
         self.type = "real"
@@ -296,7 +301,7 @@ class State(Memory):
         unit: AnyUnit = "",
         shape: Shape = (),
         output: bool = False,
-        ports: str = "",
+        ports: Ports = "",
         nominal: float | Function = 1.0,
         doc: str = "",
     ) -> None:
@@ -338,7 +343,7 @@ class Discrete(Memory):
         unit: AnyUnit = "",
         shape: Shape = (),
         output: bool = False,
-        ports: str = "",
+        ports: Ports = "",
         visible: str = "",
         doc: str = "",
     ) -> None:
@@ -374,7 +379,7 @@ class Algebraic(Variable):
         unit: AnyUnit = "",
         shape: Shape = (),
         output: bool = False,
-        ports: str = "",
+        ports: Ports = "",
         doc: str = "",
     ) -> None:
         super().__init__(unit, shape, ports, doc)
@@ -419,7 +424,7 @@ class Stepped(Variable):
         *,
         unit: AnyUnit = "",
         shape: Shape = (),
-        ports: str = "",
+        ports: Ports = "",
         type: Kind = "real",
         doc: str = "",
     ) -> None:

@@ -276,7 +276,9 @@ class TransferFunction(Block):
     den = Parameter([1.0, 1.0], shape="k", doc="coefficients of the denominator, highest power first")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    u = Input(unit=unit_u, doc="input")
+    inputs = Parameter("", structural=True, type="string", doc='name of the input; "": u')
+    outputs = Parameter("", structural=True, type="string", doc='name of the output; "": y')
+    u = Input(unit=unit_u, ports=inputs, doc="input")
     x = State(shape=lambda k: k - 1, nominal=_canonical_sizes, doc="state in controllable canonical form")
 
     @requires("num and den must not be empty")
@@ -296,7 +298,7 @@ class TransferFunction(Block):
         highest = u - (den[1:] / den[0])[::-1] @ x
         return np.concatenate([x[1:], [highest]])[: k - 1]
 
-    @output(unit=unit, doc="filtered input")
+    @output(unit=unit, ports=outputs, doc="filtered input")
     def y(x, u, num, den, m, k):
         b = np.concatenate([np.zeros(k - m), num]) / den[0]
         c = b[1:] - den[1:] / den[0] * b[0]
@@ -381,7 +383,9 @@ class ZeroPoleGain(Block):
     k = Parameter(1.0, doc="gain: the factor before the highest power of s in the numerator")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    u = Input(unit=unit_u, doc="input")
+    inputs = Parameter("", structural=True, type="string", doc='name of the input; "": u')
+    outputs = Parameter("", structural=True, type="string", doc='name of the output; "": y')
+    u = Input(unit=unit_u, ports=inputs, doc="input")
     x = State(shape=lambda n: n, nominal=_section_sizes, doc="output of each section")
 
     @requires("there must not be more zeros than poles: the transfer function would not be proper")
@@ -408,7 +412,7 @@ class ZeroPoleGain(Block):
     def dx(x, u, A, B):
         return A @ x + B * u
 
-    @output(unit=unit, doc="filtered input")
+    @output(unit=unit, ports=outputs, doc="filtered input")
     def y(x, u, A, B, zeros, zeros_imag, poles, poles_imag, k, m, n):
         factor, row, direct = _behind_chain(A, B, zeros, zeros_imag, poles, poles_imag, k, m, n)
         return factor * (row @ x + direct * u)
@@ -417,7 +421,8 @@ class ZeroPoleGain(Block):
 class StateSpace(Block):
     """dx/dt = A x + B u, y = C x + D u.
 
-    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
+    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0]. Named
+    inputs and outputs are ports of their own, one for each name.
     Zeros of the matrices fix the type: an element of y depends directly only on the u for which its row of D is not 0.
     """
 
@@ -425,13 +430,15 @@ class StateSpace(Block):
     B = Parameter([[1.0]], shape=("n", "m"), zeros=True, doc="from input to the state's derivative")
     C = Parameter([[1.0]], shape=("p", "n"), zeros=True, doc="from state to output")
     D = Parameter(lambda p, m: np.zeros((p, m)), shape=("p", "m"), zeros=True, doc="from input to output")
-    u = Input(shape=lambda m: m, doc="inputs")
+    inputs = Parameter("", structural=True, type="string", doc='names of the inputs, "F, d"; "": one vector u')
+    outputs = Parameter("", structural=True, type="string", doc='names of the outputs, "p, v"; "": one vector y')
+    u = Input(shape=lambda m: m, ports=inputs, doc="inputs")
     x = State(shape=lambda n: n, output=True, doc="states")
 
     @x.derivative
     def dx(x, u, A, B):
         return A @ x + B @ u
 
-    @output(shape=lambda p: p, doc="outputs")
+    @output(shape=lambda p: p, ports=outputs, doc="outputs")
     def y(x, u, C, D):
         return C @ x + D @ u

@@ -83,7 +83,9 @@ class DiscreteTransferFunction(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     y_start = Parameter(0.0, unit=unit, doc="y before the first tick")
-    u = Input(unit=unit_u, doc="input")
+    inputs = Parameter("", structural=True, type="string", doc='name of the input; "": u')
+    outputs = Parameter("", structural=True, type="string", doc='name of the output; "": y')
+    u = Input(unit=unit_u, ports=inputs, doc="input")
     x = Discrete(shape=lambda k: k - 1, doc="state in controllable canonical form")
 
     @requires("num and den must not be empty")
@@ -103,7 +105,7 @@ class DiscreteTransferFunction(Block):
         highest = u - (den[1:] / den[0])[::-1] @ x
         return np.concatenate([x[1:], [highest]])[: k - 1]
 
-    @output(unit=unit, every=period, offset=offset, start=y_start, doc="filtered input")
+    @output(unit=unit, ports=outputs, every=period, offset=offset, start=y_start, doc="filtered input")
     def y(x, u, num, den, m, k):
         b = np.concatenate([np.zeros(k - m), num]) / den[0]
         c = b[1:] - den[1:] / den[0] * b[0]
@@ -113,7 +115,8 @@ class DiscreteTransferFunction(Block):
 class DiscreteStateSpace(Block):
     """x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k].
 
-    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
+    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0]. Named
+    inputs and outputs are ports of their own, one for each name.
     Zeros of the matrices fix the type: an element of y[k] depends only on the u[k] for which its row of D is not 0.
     """
 
@@ -124,13 +127,15 @@ class DiscreteStateSpace(Block):
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     y_start = Parameter(0.0, shape="p", doc="y before the first tick")
-    u = Input(shape=lambda m: m, doc="inputs")
+    inputs = Parameter("", structural=True, type="string", doc='names of the inputs, "F, d"; "": one vector u')
+    outputs = Parameter("", structural=True, type="string", doc='names of the outputs, "p, v"; "": one vector y')
+    u = Input(shape=lambda m: m, ports=inputs, doc="inputs")
     x = Discrete(shape=lambda n: n, doc="states")
 
     @x.next(every=period, offset=offset)
     def step(x, u, A, B):
         return A @ x + B @ u
 
-    @output(shape=lambda p: p, every=period, offset=offset, start=y_start, doc="outputs")
+    @output(shape=lambda p: p, ports=outputs, every=period, offset=offset, start=y_start, doc="outputs")
     def y(x, u, C, D):
         return C @ x + D @ u

@@ -92,7 +92,8 @@ def _about(declaration: Declaration) -> str:
 
 
 def _port(variable: Variable) -> str:
-    name = f"{variable.ports.format(1)}, ..." if variable.ports else variable.name
+    numbered = isinstance(variable.ports, str) and variable.ports
+    name = f"{numbered.format(1)}, ..." if numbered else variable.name
     return f"{name}{_in_unit(variable)}"
 
 
