@@ -62,6 +62,7 @@ from .case import (
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
+from .foreign_systems import LinearSystem, as_block
 from .last_made import LastMade, names_files
 from .late import late
 from .ports import Handle, PortName, plain_settings, signal_names, sink_text, source_text, text_of
@@ -227,7 +228,7 @@ class Diagram:
     def add(
         self,
         name: str,
-        block: Block | Diagram | Subdiagram,
+        block: Block | Diagram | Subdiagram | LinearSystem,
         *,
         doc: str = "",
         at: tuple[float, float] | None = None,
@@ -237,6 +238,9 @@ class Diagram:
         copies: int | str | None = None,
     ) -> Handle:
         """Add a block (or a diagram as a block) and return its ports as attributes.
+
+        A linear system of python-control or of scipy.signal becomes a block of the library, whose ports have the names
+        of its inputs and outputs. It must have a period if it is sampled.
 
         at: its position in drawings. enable: of a diagram, what its states and outputs do while it is off,
         {"states": "held" | "reset", "outputs": "held" | "reset"}; it gets the bool input `enable`. trigger:
@@ -257,12 +261,12 @@ class Diagram:
         self._draft.put("layout", layout)
         return Handle(self, name, inputs, outputs)
 
-    def _entry(self, name: str, block: Block | Diagram | Subdiagram, **said: Any) -> BlockEntry:
+    def _entry(self, name: str, block: Block | Diagram | Subdiagram | LinearSystem, **said: Any) -> BlockEntry:
         """The entry of a block, checked as a file's is. said: its doc, control, stream and copies."""
         if isinstance(block, Diagram):
             block = subdiagram(block)
         if not isinstance(block, Subdiagram):
-            return self._draft.block(name, block, **said)
+            return self._draft.block(name, as_block(name, block), **said)
         source = block.source._draft if isinstance(block.source, Diagram) else block.source
         return self._draft.subdiagram(name, source, block.parameters, **said)
 
@@ -289,7 +293,7 @@ class Diagram:
     def swap(
         self,
         name: str,
-        block: Block | Diagram | Subdiagram,
+        block: Block | Diagram | Subdiagram | LinearSystem,
         *,
         variant: str = "",
         ports: Mapping[str, str] | None = None,
@@ -737,15 +741,16 @@ class Diagram:
         return differences(self.value, other.value, doc=doc, resolver=resolver)
 
     @classmethod
-    def alone(cls, block: Block, name: str = "") -> Diagram:
+    def alone(cls, block: Block | LinearSystem, name: str = "") -> Diagram:
         """A diagram of one block, whose ports are its inputs and outputs: to run or to export it by itself.
 
         What is no name of a diagram ("body.phi[1]", as FMUs have) becomes one ("body_phi_1").
         """
-        foreign = type(block).declaration.foreign
-        kind = type(block).__name__ if foreign is None else as_name(type(block).__name__)
-        diagram = cls(name or kind, library=type(block) if foreign is None else ())
-        handle = diagram.add(kind, block)
+        own: Block = as_block(name or "alone", block)
+        foreign = type(own).declaration.foreign
+        kind = type(own).__name__ if foreign is None else as_name(type(own).__name__)
+        diagram = cls(name or kind, library=type(own) if foreign is None else ())
+        handle = diagram.add(kind, own)
         ports = interface_of(diagram.value, kind, diagram._draft.resolver)
         for port in ports.inputs.values():
             whole = diagram.input(as_name(port.name), **input_like(port))

@@ -22,7 +22,7 @@ from __future__ import annotations
 import inspect
 import keyword
 import sys
-from collections.abc import Iterable, Mapping, Sized
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -144,19 +144,8 @@ def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
     )
 
 
-# Not zeros and poles, whose gain has another name elsewhere.
-_PARTS = ("A", "B", "C", "D", "num", "den")
-
-
 def _by_name(known: Mapping[str, Parameter], given: object) -> str:
-    """Return what to write for a value without a name: of a model of another package, its parts by their names."""
-    if type(given).__module__.partition(".")[0] not in ("builtins", "numpy"):
-        parts = {name: getattr(given, name) for name in _PARTS if name in known and hasattr(given, name)}
-        # In python-control num and den are lists by output and input.
-        lists = {name: part for name, part in parts.items() if name in ("num", "den") and isinstance(part, Iterable)}
-        nested = [name for name, part in lists.items() if isinstance(next(iter(part), None), Sized)]
-        if len(parts) > 1:
-            return ", ".join(f"{name}=P.{name}{'[0][0]' if name in nested else ''}" for name in parts)
+    """Return what to write for a value without a name."""
     plain = [name for name, parameter in known.items() if not parameter.structural] or [*known]
     shown = " ".join(repr(given).split())
     return f"{plain[0] if plain else 'k'}={shown if len(shown) < 60 else '...'}"
@@ -181,8 +170,10 @@ class Block(metaclass=BlockMeta):
             refuse("E409", cls.__name__, "is abstract, so it cannot be used as a block.", cure)
         known = cls.declaration.settable
         if unnamed:
-            example = f"{cls.__name__}({_by_name(known, unnamed[0])})"
-            raise UsageError(Fault("E501", cls.__name__, "takes parameters by name only.", f"Write {example}."))
+            cure = f"Write {cls.__name__}({_by_name(known, unnamed[0])})."
+            if type(unnamed[0]).__module__.startswith(("control.", "scipy.signal.")):
+                cure = 'Add the system itself, as in diagram.add("p", P).'
+            raise UsageError(Fault("E501", cls.__name__, "takes parameters by name only.", cure))
         faults = [
             Fault(
                 "E106",

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 _CORNER = ("thin", "M-16 -13V12H16")  # time to the right
 _CROSS = ("thin", "M-17 0H17M0 -14V14")  # output over input
+_OBSERVER = (  # an estimate that comes to the state
+    ("thin", "M-16 -13V12H16M-15 -3C-11 -12 -7 -12 -3 -4S5 4 15 -4"),
+    ("line", "M-15 10C-12 10 -8 -3 -3 -4S5 4 15 -4"),
+)
 
 PICTOGRAMS: dict[str, tuple[tuple[str, str], ...]] = {
     "Step": (_CORNER, ("line", "M-16 8H-3V-8H15")),
@@ -40,5 +44,7 @@ PICTOGRAMS: dict[str, tuple[tuple[str, str], ...]] = {
     "FIRFilter": (_CORNER, ("line", "M-14 12V9M-9 12V3M-4 12V-6M1 12V-10M6 12V-6M11 12V3M15 12V9")),
     "Backlash": (_CROSS, ("line", "M-14 10H-2L11 -10H14M-14 10L-1 -10H11")),
     "TransportDelay": (_CORNER, ("line", "M-16 8H-9C-6 8 -6 -6 -3 -6H0"), ("line", "M2 8H6C9 8 9 -6 12 -6H15")),
+    "StateObserver": _OBSERVER,
+    "DiscreteStateObserver": _OBSERVER,
     "LookupTable": (_CORNER, ("line", "M-14 9L-7 5L0 -6L7 -3L14 -10")),
 }

@@ -84,10 +84,10 @@ class Source:
         return np.asarray(self.at(np.atleast_1d(np.asarray(omega, dtype=float)))[0, 0])
 
 
-def is_of(system: object, *names: str) -> bool:
-    """Whether it is of a class of python-control, which is not loaded to know that: who made it has loaded it."""
-    control = sys.modules.get("control")
-    return control is not None and isinstance(system, tuple(getattr(control, name) for name in names))
+def is_of(system: object, *names: str, package: str = "control") -> bool:
+    """Whether it is of a class of a package, which is not loaded to know that: who made the system has loaded it."""
+    module = sys.modules.get(package)
+    return module is not None and isinstance(system, tuple(getattr(module, name) for name in names))
 
 
 def source(system: Any) -> Source:

@@ -7,9 +7,8 @@ from ..contract.block import Block, is_abstract
 
 _MODULES = (
     "adrc", "arithmetic", "continuous", "discrete", "drives", "excitation", "expression", "filters", "flight",
-    "friction", "functions", "logic", "mechanics", "memory", "noise", "nonlinear", "oscillators", "pid", "power",
-    "process", "robot", "sampled", "sources", "tables", "vectors",
-    "wiring",
+    "friction", "functions", "logic", "mechanics", "memory", "noise", "nonlinear", "observers", "oscillators", "pid",
+    "power", "process", "robot", "sampled", "sources", "tables", "vectors", "wiring",
 )  # fmt: skip
 
 

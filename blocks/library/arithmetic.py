@@ -52,6 +52,7 @@ class MatrixGain(Block, apart="gain"):
 
     K is p x m: u has m elements and y has p, which wires name u[0], y[0]. Zeros of K fix the type: an element of y
     depends only on the elements of u with a nonzero entry in its row of K. All u have one unit, and so have all y.
+    Named inputs and outputs are ports of their own, one for each name.
 
     Give a large K by its edges, {"edges": [[row, column, value], ...], "shape": [p, m]}, by a CSV file of edges, or in
     Python as a matrix of scipy.sparse. The cost is then proportional to the number of edges.
@@ -60,9 +61,11 @@ class MatrixGain(Block, apart="gain"):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     K = Parameter([[1.0]], shape=("p", "m"), zeros=True, sparse=True, unit=unit / unit_u, doc="matrix of gains")
-    u = Input(shape=lambda m: m, unit=unit_u, doc="inputs")
+    inputs = Parameter("", structural=True, type="string", doc='names of the inputs, "F, d"; "": one vector u')
+    outputs = Parameter("", structural=True, type="string", doc='names of the outputs, "p, v"; "": one vector y')
+    u = Input(shape=lambda m: m, ports=inputs, unit=unit_u, doc="inputs")
 
-    @output(shape=lambda p: p, unit=unit, doc="K times the inputs")
+    @output(shape=lambda p: p, ports=outputs, unit=unit, doc="K times the inputs")
     def y(u, K):
         return K @ u
 

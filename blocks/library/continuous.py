@@ -421,8 +421,8 @@ class ZeroPoleGain(Block):
 class StateSpace(Block):
     """dx/dt = A x + B u, y = C x + D u.
 
-    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0]. Named
-    inputs and outputs are ports of their own, one for each name.
+    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
+    Named inputs and outputs are ports of their own, one for each name.
     Zeros of the matrices fix the type: an element of y depends directly only on the u for which its row of D is not 0.
     """
 

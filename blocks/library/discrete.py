@@ -115,8 +115,8 @@ class DiscreteTransferFunction(Block):
 class DiscreteStateSpace(Block):
     """x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k].
 
-    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0]. Named
-    inputs and outputs are ports of their own, one for each name.
+    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
+    Named inputs and outputs are ports of their own, one for each name.
     Zeros of the matrices fix the type: an element of y[k] depends only on the u[k] for which its row of D is not 0.
     """
 

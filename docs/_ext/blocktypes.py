@@ -90,12 +90,13 @@ def size_of(variable: Any) -> str:
     for size in sizes:
         reads = arguments(size, variable.name) if callable(size) else ()
         made.append(f"by {' and '.join(reads)}" if callable(size) else str(size))
-    return f"{'number' if variable.ports else 'size'} {' x '.join(made)}"
+    is_numbered = isinstance(variable.ports, str) and variable.ports
+    return f"{'number' if is_numbered else 'size'} {' x '.join(made)}"
 
 
 def ports_of(variable: Any, interface: Interface | None, side: str) -> str:
     """The ports of a variable: u, or u1, u2, ..."""
-    if not variable.ports:
+    if not (variable.ports and isinstance(variable.ports, str)):  # names of ports are given to instances
         return f"`{variable.name}`"
     ports = getattr(interface, side).values() if interface is not None else ()
     found = [port.name for port in ports if port.variable == variable.name] or [variable.ports.format(1)]

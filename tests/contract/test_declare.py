@@ -291,6 +291,14 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "ports without a number": ("u = Input(shape=2, ports='u')", "E405", "Bad.u", "a name with {} for the number"),
     "ports with two numbers": ("u = Input(shape=2, ports='u{}{}')", "E405", "Bad.u", "must be a name with {}"),
     "ports that are no name": ("u = Input(shape=2, ports='u-{}')", "E405", "Bad.u", "ports='u-{}'"),
+    "ports by a number": (
+        "n = Parameter(2, structural=True, type='int')\nu = Input(shape=2, ports=n)",
+        "E405", "Bad.u", "ports=<a parameter 'n'> is not a text. Declare it with type=\"string\".",
+    ),
+    "ports by the parameter of another class": (
+        "u = Input(ports=Parameter('', structural=True, type='string'))",
+        "E402", "Bad.u", "its ports are <a parameter ''>, which is not a parameter of this block.",
+    ),
     "ports of a state that is none": (
         "x = State(shape=2, ports='x{}')",
         "E405", "", "ports= names output ports. Add output=True.",
@@ -638,15 +646,13 @@ def test_all_unknown_parameters_are_told_at_once_with_the_nearest_name() -> None
 def test_parameters_are_given_by_name() -> None:
     with pytest.raises(UsageError, match=r"E501 Lag: takes parameters by name only\. Write Lag\(k=1\.0\)\."):
         Lag(1.0)
-    model = control.ss(control.tf([1.0], [1.0, 1.0]))
-    with pytest.raises(UsageError, match=r"Write StateSpace\(A=P\.A, B=P\.B, C=P\.C, D=P\.D\)\.$"):
-        StateSpace(model)
-    with pytest.raises(UsageError, match=r"Write TransferFunction\(num=P\.num\[0\]\[0\], den=P\.den\[0\]\[0\]\)\.$"):
-        TransferFunction(control.tf([1.0], [1.0, 1.0]))
-    # Its gain is no k: zeros and poles alone would be another model.
-    with pytest.raises(UsageError) as caught:
-        ZeroPoleGain(scipy.signal.ZerosPolesGain([], [-1.0], 2.0))
-    assert "poles=P.poles" not in str(caught.value)
+    for block, model in (
+        (StateSpace, control.ss(control.tf([1.0], [1.0, 1.0]))),
+        (TransferFunction, control.tf([1.0], [1.0, 1.0])),
+        (ZeroPoleGain, scipy.signal.ZerosPolesGain([], [-1.0], 2.0)),
+    ):
+        with pytest.raises(UsageError, match=r'Add the system itself, as in diagram\.add\("p", P\)\.$'):
+            block(model)
     with pytest.raises(TypeError, match="Block is the base of block classes and"):
         Block()
 

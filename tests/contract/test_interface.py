@@ -425,6 +425,73 @@ def test_two_ports_of_one_name_are_told() -> None:
         _ = resolved(Twice).interface.inputs
 
 
+class Rig(Block):
+    """Ports that the block is given the names of."""
+
+    inputs = Parameter("", structural=True, type="string")
+    outputs = Parameter("", structural=True, type="string")
+    u = Input(shape=2, unit=lambda: ["V", "A"], ports=inputs)
+    x = State(shape=2, output=True)
+
+    @x.derivative
+    def dx(u):
+        return u
+
+    @output(shape=2, ports=outputs)
+    def y(x):
+        return x
+
+
+def test_names_that_a_block_is_given_are_ports_of_its_elements() -> None:
+    rig = resolved(Rig, inputs="F, d", outputs="p,v").interface
+    assert [(port.name, port.variable, port.first, port.shape, port.unit) for port in rig.inputs.values()] == [
+        ("F", "u", 0, (), "V"),
+        ("d", "u", 1, (), "A"),
+    ]
+    assert [*rig.outputs] == ["p", "v", "x"]
+    assert [*resolved(Rig).interface.inputs, *resolved(Rig).interface.outputs] == ["u", "y", "x"]
+    # Names of one side may be the variables of the other.
+    assert [*resolved(Rig, inputs="y, w", outputs="u, v").interface.inputs] == ["y", "w"]
+
+
+def test_a_state_gives_way_to_a_port_that_is_given_its_name() -> None:
+    assert [*resolved(Rig, outputs="x, v").interface.outputs] == ["x", "v"]
+    assert [*resolved(Rig, inputs="v, x").interface.outputs] == ["y"]
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "text"),
+    [
+        ("a", "", "E110 Rig.inputs: has 1 name, but u has 2 elements. Give one name for each element"),
+        ("", "a, b, c", "E110 Rig.outputs: has 3 names, but y has 2 elements."),
+        ("a, 1b", "", 'E110 Rig.inputs: "1b" cannot be the name of a port.'),
+        ("a, ", "", 'E110 Rig.inputs: "" cannot be the name of a port.'),
+        ("a, a", "", "E109 Rig.a: 'u' and 'u' both have a port of this name."),
+        ("a, b", "a, c", "E109 Rig.a: is the name of both an input and an output. Choose another name."),
+        ("y, b", "", "E109 Rig.y: is the name of both an input and an output."),
+        ("inputs, b", "", "E109 Rig.inputs: is the name of a parameter."),
+    ],
+)
+def test_given_names_that_cannot_be_ports_are_refused(inputs: str, outputs: str, text: str) -> None:
+    rig = resolved(Rig, inputs=inputs, outputs=outputs).interface
+    with pytest.raises(ModelError) as caught:
+        _ = rig.outputs
+    assert str(caught.value).startswith(text)
+
+
+def test_an_abstract_block_may_have_the_names_of_ports() -> None:
+    class Named(Block, abstract=True):
+        names = Parameter("", structural=True, type="string")
+        u = Input(shape=2, ports=names)
+
+    class Adder(Named):
+        @output
+        def y(u):
+            return u[0] + u[1]
+
+    assert [*resolved(Adder, names="a, b").interface.inputs] == ["a", "b"]
+
+
 def test_wiring_is_an_output_port() -> None:
     class Swap(Block):
         u = Input(shape=2)

@@ -71,7 +71,24 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("DiscreteSMESO", {"form": "zoh", "order": 1, "period": 0.1, "bandwidth": 5.0, "offset": 0.05, "unit": "rad"}),
     ("DiscreteSMESO", {"form": "euler", "order": 3, "period": 0.01, "bandwidth": 20.0, "unit": "m", "unit_u": "V"}),
     ("DiscreteSMESO", {"period": 0.01, "gains": [5.0, 8.0, 40.0], "z_start": [1.0, -2.0, 3.0], "b0": -3.0}),
+    ("DiscreteStateObserver", {"period": 0.1}),
+    (
+        "DiscreteStateObserver",
+        {
+            "period": 0.1,
+            "form": "current",
+            "A": [[0.9, 0.1], [-0.5, 0.8]],
+            "B": [[0.0, 1.0], [1.0, 0.0]],
+            "C": [[1.0, 0.0]],
+            "D": [[0.0, 0.5]],
+            "L": [[0.4], [0.1]],
+            "xhat_start": [1.0, -1.0],
+            "inputs": "F, d",
+            "outputs": "p",
+        },
+    ),
     ("DiscreteStateSpace", {"period": 0.1}),
+    ("DiscreteStateSpace", {"period": 0.1, "inputs": "F", "outputs": "x"}),
     (
         "DiscreteStateSpace",
         {
@@ -152,6 +169,7 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("LookupTable2D", {"points1": [0.0, 0.5, 2.0], "points2": [-1.0, 1.0], "values": np.arange(6.0).reshape(3, 2)}),
     ("MatchedDisturbance", {}),
     ("MatrixGain", {}),
+    ("MatrixGain", {"K": [[1.0, 2.0]], "inputs": "x, v", "outputs": "F"}),
     ("MatrixGain", {"K": [[1.0, 0.0, -2.0], [0.0, 0.0, 3.0]], "unit": "N", "unit_u": "m"}),
     ("MinMax", {}),
     ("MinMax", {"function": "min", "size": 3, "unit": "V"}),
@@ -232,7 +250,20 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("Sqrt", {"form": "signed", "unit": "V"}),
     ("SquareWave", {}),
     ("SquareWave", {"unit": "V", "period": 0.3, "duty": 0.25, "at": -0.1, "low": -1.0, "high": 2.0}),
+    (
+        "StateObserver",
+        {
+            "A": [[0.0, 1.0], [-2.0, -3.0]],
+            "B": [[0.0, 0.0], [1.0, 2.0]],
+            "C": [[1.0, 0.0]],
+            "D": [[0.0, 0.5]],
+            "L": [[4.0], [2.0]],
+            "inputs": "F, d",
+        },
+    ),
+    ("StateObserver", {}),
     ("StateSpace", {}),
+    ("StateSpace", {"inputs": "F", "outputs": "x"}),
     ("StateSpace", {"A": [[0.0, 1.0], [-2.0, -3.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}),
     (
         "StateSpace",
