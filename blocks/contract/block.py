@@ -58,6 +58,7 @@ class BlockMeta(type):
         abstract: bool = False,
         describing: str = "",
         apart: str = "",
+        form: Any = None,
     ) -> BlockMeta:
         if not bases:
             return super().__new__(mcs, name, bases, {**body, "__slots__": ("parameters",)})
@@ -72,7 +73,7 @@ class BlockMeta(type):
         if above:
             body = {**{key: value for key, value in body.items() if key.startswith("__")}, **completed(name, entries)}
         cls = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
-        cls.declaration = declare(name, body.get("__doc__") or "", body, foreign, describing, apart)
+        cls.declaration = declare(name, body.get("__doc__") or "", body, foreign, describing, apart, form)
         type.__setattr__(cls, "__signature__", _signature(cls.declaration.settable.values()))
         return cls
 
@@ -85,6 +86,7 @@ class BlockMeta(type):
         abstract: bool = False,
         describing: str = "",
         apart: str = "",
+        form: object = None,
     ) -> None:
         super().__init__(name, bases, dict(body))
 

@@ -116,7 +116,13 @@ def _check_finite(variable: Variable, place: str) -> None:
 
 
 def declare(
-    name: str, doc: str, body: Mapping[str, object], foreign: object = None, describing: str = "", apart: str = ""
+    name: str,
+    doc: str,
+    body: Mapping[str, object],
+    foreign: object = None,
+    describing: str = "",
+    apart: str = "",
+    form: Any = None,
 ) -> Declaration:
     """Check a class body and put it in order."""
     groups: dict[type, dict[str, Any]] = {
@@ -171,6 +177,7 @@ def declare(
         tuple(key for key, parameter in parameters.items() if parameter.stream),
         describing,
         apart,
+        form,
     )
     if len(steppers) > 1:
         refuse("E403", f"{name}.{steppers[1].name}", "is a second stepper.", "Declare one stepper at most.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,6 +67,8 @@ class Declaration:
     """Which describing function y has of u (`DESCRIBING`), where the block remembers u; "": as its equations say."""
     apart: str = ""
     """The way in which a block over a long vector is taken apart (`APART`); "": it never is."""
+    form: Callable[[Mapping[str, Any]], Any] | None = None
+    """Gives the class that blocks with given values have, where it follows from them; None where it is this one."""
 
     @property
     def settable(self) -> Mapping[str, Parameter]:

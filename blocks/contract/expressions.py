@@ -6,6 +6,13 @@
     power   = atom [ "**" signed ]               as in Python: -2**2 == -4, 2**3**2 == 512, 2**-1 == 0.5
     atom    = number | name | "pi" | function "(" sum { "," sum } ")" | "(" sum ")"
 
+Where truth values are allowed (`has_truths`), a text may also be one of these, and brackets may hold one:
+
+    truth      = conjunct { "or" conjunct }
+    conjunct   = negation { "and" negation }
+    negation   = "not" negation | comparison
+    comparison = sum relation sum { relation sum }    0 < x < 3 is 0 < x and x < 3; relation: < <= > >= == !=
+
 Nothing else can be written, so a file cannot make a program run. A text is compiled to postfix steps, which are
 computed in the order written with one stack: no text, however nested, can exhaust Python's recursion. Values are
 floats; beside each goes the exact fraction of the decimals as written, as long as there is one, because periods and
@@ -61,11 +68,15 @@ class PostfixStep:
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A parsed expression: its text, its steps, and the names it reads, in order of first appearance."""
+    """A parsed expression: its text, its steps, and the names it reads, in order of first appearance.
+
+    is_truth: it is a truth value, and no number.
+    """
 
     text: str
     steps: tuple[PostfixStep, ...]
     names: tuple[str, ...]
+    is_truth: bool = False
 
     @property
     def name(self) -> str | None:
@@ -86,6 +97,8 @@ class Expression:
 
 
 _SIGNS = {"+": "add", "-": "sub", "*": "mul", "/": "div", "**": "pow", "abs": "fabs"}
+RELATIONS = ("<", "<=", ">", ">=", "==", "!=")
+"""The relations of two numbers."""
 FUNCTIONS = ("abs", "acos", "asin", "atan", "atan2", "cos", "exp", "log", "max", "min", "sin", "sqrt", "tan", "tanh")
 """The functions that an expression may call: log is the natural logarithm, angles are in rad."""
 
@@ -244,9 +257,20 @@ def names_at(text: str) -> Iterator[tuple[int, int, str]]:
             yield match.start(), match.end(), match[0]
 
 
+def signals_at(text: str) -> Iterator[tuple[int, int, str]]:
+    """Return the signals that a condition reads, each with the offsets at which it begins and ends; see `names_at`."""
+    for match in _TOKEN_OF_SIGNALS.finditer(text[:_LENGTH]):
+        if match["name"] and match[0] not in (*FUNCTIONS, *_WORDS, "pi", "t"):
+            yield match.start(), match.end(), match[0]
+
+
 @lru_cache(maxsize=4096)
-def parse(text: str, *, has_parts: bool = False) -> Expression:
+def parse(
+    text: str, *, has_parts: bool = False, has_truths: bool = False, truths: frozenset[str] | None = None
+) -> Expression:
     """The expression of a text, without the leading "=". has_parts: names may be of two parts, as in noisy.ITAE.
+
+    has_truths: it may be a truth value. truths: of a condition over signals, those that are truth values themselves.
 
     Raises:
         ModelError: E108, with the column of the first thing that does not fit, and what was expected there.
@@ -254,11 +278,12 @@ def parse(text: str, *, has_parts: bool = False) -> Expression:
     if len(text) > _LENGTH:
         message = f"the expression has {len(text)} characters; the limit is {_LENGTH}."
         raise ModelError(Fault("E108", "", message, "Split it into several parameters."))
-    reader = _ExpressionParser(text, _TOKEN_OF_PARTS if has_parts else _TOKEN)
-    reader.read_operand(0, 0)
+    tokens = _TOKEN_OF_PARTS if has_parts else _TOKEN_OF_TRUTHS if has_truths else _TOKEN
+    reader = _ExpressionParser(text, tokens if truths is None else _TOKEN_OF_SIGNALS, truths or frozenset())
+    is_truth = reader.read_operand(0, 0)
     reader.expect_end()
     names = dict.fromkeys(step.word for step in reader.steps if not step.operands and step.scalar is None)
-    return Expression(text, tuple(reader.steps), tuple(names))
+    return Expression(text, tuple(reader.steps), tuple(names), is_truth)
 
 
 _TOKEN = re.compile(
@@ -268,13 +293,20 @@ _TOKEN = re.compile(
     r"|(?P<sign>\*\*|[-+*/(),])"
 )
 _TOKEN_OF_PARTS = re.compile(_TOKEN.pattern.replace("[A-Za-z0-9_]*)", r"[A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)?)"))
+_TOKEN_OF_TRUTHS = re.compile(_TOKEN.pattern.replace(r"\*\*|[-", r"\*\*|[<>=!]=|[-<>"))
+_ELEMENT = r"[A-Za-z_][A-Za-z0-9_]*(?:\[[A-Za-z0-9_, ]*\])*"
+_TOKEN_OF_SIGNALS = re.compile(
+    _TOKEN_OF_TRUTHS.pattern.replace(r"[A-Za-z_][A-Za-z0-9_]*)", rf"{_ELEMENT}(?:\.{_ELEMENT})*)")
+)
 # How tightly an operator binds its left side, and its right side.
-_BINDING = {"+": (10, 10), "-": (10, 10), "*": (20, 20), "/": (20, 20), "**": (40, 29)}
-# A sign binds looser than a power and tighter than a product.
-_SIGN = 30
+_ARITHMETIC = {"+": (10, 10), "-": (10, 10), "*": (20, 20), "/": (20, 20), "**": (40, 29)}
+_BINDING = {**_ARITHMETIC, "or": (2, 2), "and": (4, 4), **dict.fromkeys(RELATIONS, (8, 8))}
+_WORDS = ("and", "or", "not")
+# A sign binds looser than a power and tighter than a product; "not" binds looser than a relation.
+_SIGN, _NOT = 30, 6
 _FOREIGN = {
     "^": "Write a power with **.",
-    "=": "Write one = at the start only; there are no comparisons.",
+    "=": "Write one = at the start only, and == for equality. Only conditions have comparisons.",
     ".": "A name cannot contain a point: only parameters of this diagram can be read.",
     "[": "Elements of a vector cannot be read here.",
     "×": "Write a product with *.",
@@ -287,8 +319,10 @@ _ALLOWED = "Use numbers, names, + - * / ** ( ) and " + ", ".join(FUNCTIONS) + ".
 class _ExpressionParser:
     """Reads a text from left to right into postfix steps (precedence climbing)."""
 
-    def __init__(self, text: str, tokens: re.Pattern[str]) -> None:
-        self.text, self.tokens = text, tokens
+    def __init__(self, text: str, tokens: re.Pattern[str], truths: frozenset[str] = frozenset()) -> None:
+        self.text, self.tokens, self.truths = text, tokens, truths
+        self.has_truths = tokens in (_TOKEN_OF_TRUTHS, _TOKEN_OF_SIGNALS)
+        self.binding = _BINDING if self.has_truths else _ARITHMETIC
         self.steps: list[PostfixStep] = []
         self.at = 0
         self._advance()
@@ -332,42 +366,73 @@ class _ExpressionParser:
         if self.match:
             raise self._expected("an operator or the end")
 
-    def read_operand(self, binding: int, depth: int) -> None:
-        """Read an operand, and the operators after it that bind tighter than `binding`."""
+    def read_operand(self, binding: int, depth: int) -> bool:
+        """Read an operand, and operators after it that bind tighter than `binding`. Return if it is a truth value."""
         if depth > _DEPTH:
             raise self._wrong(f"nested more than {_DEPTH} deep", "Split it into several parameters.")
         if self.token in ("+", "-"):
             step = PostfixStep("neg" if self.token == "-" else "pos", self.column, 1)
             self._advance()
-            self.read_operand(_SIGN, depth + 1)
-            self.steps.append(step)
-        else:
-            self._read_atom(depth)
-        while (sides := _BINDING.get(self.token)) and sides[0] > binding:
-            step = PostfixStep(self.token, self.column, 2)
+            is_truth = self._read_side(step, _SIGN, depth + 1)
+        elif self.has_truths and self.token == "not":
+            step = PostfixStep("not", self.column, 1)
             self._advance()
-            # Only ** nests to the right; the operands of + - * / stand beside each other.
-            self.read_operand(sides[1], depth + (step.word == "**"))
-            self.steps.append(step)
+            is_truth = self._read_side(step, _NOT, depth + 1)
+        else:
+            is_truth = self._read_atom(depth)
+        last: range | None = None  # the steps of the right side of a relation, which a chain repeats
+        while (sides := self.binding.get(self.token)) and sides[0] > binding:
+            step = PostfixStep(self.token, self.column, 2)
+            is_chained = step.word in RELATIONS and last is not None
+            if last is not None and is_chained:
+                self.steps += [self.steps[k] for k in last]
+            else:
+                self._check_side(step, is_truth=is_truth)
+            begin = len(self.steps)
+            self._advance()
+            # Only ** nests to the right; the operands of the others stand beside each other.
+            is_truth = self._read_side(step, sides[1], depth + (step.word == "**"))
+            last = range(begin, len(self.steps) - 1) if step.word in RELATIONS else None
+            if is_chained:
+                self.steps.append(PostfixStep("and", step.column, 2))
+        return is_truth
 
-    def _read_atom(self, depth: int) -> None:
-        """Read a number, a name, a call or a bracket."""
+    def _read_side(self, step: PostfixStep, binding: int, depth: int) -> bool:
+        """Read the last operand of an operator, and add its step. Return if the operator gives a truth value."""
+        self._check_side(step, is_truth=self.read_operand(binding, depth))
+        self.steps.append(step)
+        return step.word in (*_WORDS, *RELATIONS)
+
+    def _check_side(self, step: PostfixStep, *, is_truth: bool) -> None:
+        """Refuse a number where an operator takes truth values, and the other way round."""
+        if is_truth == (step.word in _WORDS):
+            return
+        self.column, word = step.column, {"neg": "-", "pos": "+"}.get(step.word, step.word)
+        if is_truth:
+            raise self._wrong(f"'{word}' takes numbers, not truth values", "Join comparisons by and, or, not.")
+        raise self._wrong(f"'{word}' takes truth values, not numbers", "Compare the number, as in x > 0.")
+
+    def _read_atom(self, depth: int) -> bool:
+        """Read a number, a name, a call or a bracket. Return if it is a truth value."""
         match, word, column = self.match, self.token, self.column
         if match and match["number"]:
             self.steps.append(PostfixStep(word, column, scalar=self._number(match)))
             self._advance()
-        elif match and match["name"]:
+        elif match and match["name"] and not (self.has_truths and word in _WORDS):
             self._advance()
             if self.token == "(":
                 self._read_call(word, column, depth)
             else:
                 self.steps.append(PostfixStep(word, column, scalar=Scalar(math.pi) if word == "pi" else None))
+                return word in self.truths
         elif word == "(":
             self._advance()
-            self.read_operand(0, depth + 1)
+            is_truth = self.read_operand(0, depth + 1)
             self._close(column)
+            return is_truth
         else:
             raise self._expected("a number, a name or '('")
+        return False
 
     def _number(self, match: re.Match[str]) -> Scalar:
         value = float(match[0])
@@ -386,7 +451,7 @@ class _ExpressionParser:
         bracket, count = self.column, 0
         while not count or self.token == ",":
             self._advance()
-            self.read_operand(0, depth + 1)
+            self._check_side(PostfixStep(word, column), is_truth=self.read_operand(0, depth + 1))
             count += 1
             if word in ("min", "max") and count > 1:
                 self.steps.append(PostfixStep(word, column, 2))

@@ -48,12 +48,13 @@ class Resolved:
     nominal: tuple[float, ...]  # the usual size of each element of each state, one state after the other
 
 
-def resolve(cls: object, given: Mapping[str, Value], place: str = "") -> Resolved:
+def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
     """Settle sizes, defaults, ranges and clocks of one block.
 
     given: values by parameter name, evaluated, in SI. Raises ModelError with every fault found (E106, E107, E110).
     """
-    resolving = _Resolving(cls, place)
+    form = cls.declaration.form
+    resolving = _Resolving((form and form(given)) or cls, place)
     # Each step builds on what the earlier ones have settled, so that the first with faults is the last.
     resolving.take(given)
     resolving.stop_at_faults()
