@@ -59,10 +59,11 @@ _NUMERIC = ("E301", "E303", "E304", "E305", "E306", "E307", "E308", "E309")
 class BatchRows(Shown):
     """What became of n rows.
 
-    status: (n,) of STATUSES. messages: why, "" where there is nothing to say; also that a row has no lanes (W504),
-    where those of other structural values have. measures: (n,) each, nan where a row has none. t: (g,) in s; signals:
-    (n, g) and the shape of the signal, in SI, nan after the end of a row. steps: (n,) accepted and rejected; those of
-    the budget where it was cut short. how: they ran, in words ("2 threads", "2 processes: it has FMUs").
+    status: (n,) of STATUSES. messages: why, "" where there is nothing to say; also that its condition ended a row
+    (W307), or that it has no lanes (W504), where those of other structural values have. measures: (n,) each, nan where
+    a row has none. t: (g,) in s; signals: (n, g) and the shape of the signal, in SI, nan after the end of a row. steps:
+    (n,) accepted and rejected; those of the budget where it was cut short. how: they ran, in words ("2 threads", "2
+    processes: it has FMUs").
     """
 
     status: Array
@@ -410,7 +411,7 @@ class Batch(Shown):
         steps = results.statistics.steps + results.statistics.rejected
         if budget is not None and steps > budget:
             return Row.over(self.name, budget)
-        faults = [fault for fault in results.warnings if fault.code == "W301"]
+        faults = [fault for fault in results.warnings if fault.code in ("W301", "W307")]
         return Row(
             steps, dict(results.measures), faults[0] if faults else None, "ok", self._recorded(results)
         )
@@ -421,7 +422,7 @@ class Batch(Shown):
         if results is None or not self.signals:
             return np.empty((0, 0))
         count = min(len(t), len(results.t))
-        differs = np.nonzero(results.t[:count] != t[:count])[0]  # where an FMU ended the run
+        differs = np.nonzero(results.t[:count] != t[:count])[0]  # where something ended the run
         count = int(differs[0]) if len(differs) else count
         return np.column_stack([np.asarray(results[name])[:count].reshape(count, -1) for name in self.signals])
 

@@ -40,6 +40,7 @@ class Settings(TypedDict, total=False):
 
     start: Time | None
     stop: Time | None
+    stop_when: str | None
     method: str | None
     step: Time | None
     rtol: float | None
@@ -136,10 +137,11 @@ class Case:
     environment variable BLOCKS_ENGINE names another default. trust: FMUs, or folders of FMUs, that a diagram file may
     name though they lie outside its project.
 
-    Settings: start, stop, method ("dopri5", "rk4", "euler", "radau", "auto"), step (of fixed-step methods), rtol, atol,
-    every (recording grid; without it every step is recorded), jumps (True: rows before and after jumps between those of
-    the grid), stops, seed (an integer, of all noise), loops ("error", "solve"), log (signal names or ports), master (a
-    mapping with any of step, steps, algorithm, order, tolerance, couple and iterations). None: as the diagram has it.
+    Settings: start, stop, stop_when (a condition that ends a run, such as "lift.height >= 3"), method ("dopri5", "rk4",
+    "euler", "radau", "auto"), step (of fixed-step methods), rtol, atol, every (recording grid; without it every step is
+    recorded), jumps (True: rows before and after jumps between those of the grid), stops, seed (an integer, of all
+    noise), loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps, algorithm,
+    order, tolerance, couple and iterations). None: as the diagram has it.
     """
 
     __slots__ = ("words",)

@@ -63,6 +63,8 @@ def _settings(settings: RunSettings) -> dict[str, object]:
     described: dict[str, object] = {"start": float(settings.start)}
     if settings.stop is not None:
         described["stop"] = float(settings.stop)
+    if settings.stop_when:
+        described["stop_when"] = settings.stop_when
     described["method"] = settings.method
     if settings.is_fixed_step:
         described["step"] = None if settings.step is None else float(settings.step)

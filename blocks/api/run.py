@@ -403,7 +403,8 @@ class Run:
 
     @property
     def ended(self) -> Fault | None:
-        """The warning that an FMU ended the run before its stop (W206), which its results have too; else None."""
+        """The warning that an FMU (W206) or the condition of the run (W307) ended it, which its results have too; else
+        None."""
         return self._simulation.over
 
     @property
@@ -457,7 +458,8 @@ class Run:
     def _advance(self, end: Fraction, until: Callable[[], bool] | None = None) -> bool:
         """Go on to `end`, or until that is enough; whether it was."""
         if self.ended is not None and end > self._exact:
-            message = f"the run is over: an FMU ended it at t = {self.t:.10g} s."
+            what = "an FMU" if self.ended.code == "W206" else "its condition"
+            message = f"the run is over: {what} ended it at t = {self.t:.10g} s."
             raise UsageError(Fault("E501", self._prepared.plan.name, message, "Start the run again."))
         for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
             try:
@@ -477,7 +479,7 @@ class Run:
 
     @_by_one_thread
     def finish(self) -> Results:
-        """Go on to the stop time, or to where an FMU or Ctrl-C ends it, and return the results.
+        """Go on to the stop time, or to where an FMU, its condition or Ctrl-C ends it, and return the results.
 
         Raises UsageError (E501) where there is no stop time.
         """

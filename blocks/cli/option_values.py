@@ -116,13 +116,13 @@ def case_of(options: argparse.Namespace) -> Case:
     given = vars(options)
     words: dict[str, Any] = {key: number_of(key, given.get(key)) for key in ("rtol", "atol", "seed")}
     words |= {key: time_of(key, given.get(key)) for key in TIMES}
-    words |= {key: given.get(key) for key in ("jumps", "method", "log", "engine", "trust", "measures")}
+    words |= {key: given.get(key) for key in ("jumps", "stop_when", "method", "log", "engine", "trust", "measures")}
     words["master"] = _master(given.get("master", ()))
     words["parameters"] = assignments("--set", given.get("parameters", ()), "motor.Ra=200 mOhm")
     words["variants"] = variants_of(given.get("variants", ()))
     words["inputs"] = inputs_of(given.get("input", ())) or None
     words["interpolation"] = "hold" if given.get("hold") else None
-    return Case(**{word: value for word, value in words.items() if value or value == 0})
+    return Case(**{word: value for word, value in words.items() if value or value == 0 or word == "stop_when"})
 
 
 def inputs_of(items: Sequence[str]) -> list[Any]:

@@ -21,6 +21,7 @@ def takes_json(verb: argparse.ArgumentParser, help: str = "one JSON object per l
 SETTINGS = {
     "stop": ("T", "stop time in s"),
     "start": ("T", "start time in s"),
+    "stop-when": ("CONDITION", 'end the run when this holds, as in "lift.height >= 3"; "" for no condition'),
     "method": ("M", "dopri5, radau, auto, rk4 or euler"),
     "step": ("H", "step in s of rk4 and euler"),
     "rtol": ("R", "relative tolerance of dopri5, radau and auto"),

@@ -278,6 +278,7 @@ def _report(
                 "method": statistics.method,
                 "engine": statistics.engine,
                 "interrupted": results.interrupted,
+                "ended": run.ended and run.ended.message,
                 "signals": results.summary(),
                 "measures": dict(results.measures),
             }

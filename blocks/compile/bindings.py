@@ -161,6 +161,12 @@ class _Binder:
         assert root is not None
         assert diagram is not None
         names = self.open(root, 0, _Names({}, {}))
+        ending = self.flat.ending
+        while ending is not None and self.flat.blocks[self.index].resolved is not ending.resolved:
+            self.place += _sizes(self.flat.blocks[self.index])  # at the edges of subdiagrams
+            self.index += 1
+        if ending is not None:
+            self.block(ending, 0, names)
         for name, raw in diagram.measures.items():
             given = [raw[key] for key in MEASURE_NUMBERS if key in raw]
             self.restrict(names, given, FIXED, f"the measure {name} depends on it")

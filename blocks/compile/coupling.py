@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..contract.expressions import exact_time
 from ..model.block_signals import FlatSignal, element_of
+from ..model.conditional import Ending
 from ..model.flat_block import FlatBlock
 from ..model.flatten import Flat
 from ..model.settings import MeasureSpec, RunSettings
@@ -198,6 +199,8 @@ class Coupling(Shown):
     measures: tuple[MeasureSpec, ...]
     warnings: tuple[Fault, ...]
     at: Mapping[BlockSource, int]
+    ends: int | None = None
+    """The element that ends the run at a communication point where it is true."""
     outline: Callable[[Any], Iterator[Part]] | None = None
     """As of a Plan."""
 
@@ -272,7 +275,8 @@ class Coupling(Shown):
         rows = self.columns if self.settings.records_jumps else ()
         names = [name for spec in self.measures for name in (spec.of, spec.against) if isinstance(name, str)]
         measured = [link for name in names for link in self.signal(name).references]
-        asked = {*self.exchanged, *(place for row, place in (*rows, *measured) if row == "y")}
+        ending = () if self.ends is None else (self.ends,)
+        asked = {*self.exchanged, *ending, *(place for row, place in (*rows, *measured) if row == "y")}
         return tuple(
             frozenset().union(*(f for g, f in zip(unit.outputs, unit.follows, strict=False) if g in asked))
             for unit in self.units
@@ -343,6 +347,7 @@ class _Coupler:
         coupling = Coupling(
             flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, settings,
             flat.log, flat.measures, tuple(map(flat.placed, self.warnings)), self.used,
+            None if self.ending is None else self.used[self.ending],
         )  # fmt: skip
         self.check_steps(coupling)
         return coupling
@@ -363,6 +368,8 @@ class _Coupler:
             for source in _signal(flat, name).sources:
                 if isinstance(source, BlockSource):
                     asked.setdefault(source, self.name_of(source))
+        if self.ending is not None:
+            asked.setdefault(self.ending, flat.settings.stop_when)
         counts = [0] * len(self.groups)
         for source, name in asked.items():
             unit = self.unit_of[source.block]
@@ -371,6 +378,14 @@ class _Coupler:
             self.of_unit[unit].append((source, self.used[source]))
             self.elements.append(CoupledElement(name, unit, counts[unit], held=False, jumps=False))
             counts[unit] += 1
+
+    @cached_property
+    def ending(self) -> BlockSource | None:
+        """The condition that ends the run."""
+        blocks = self.flat.blocks if self.settings.stop_when else ()
+        found = (block.sources["holds"] for block in blocks if block.interface.declaration is Ending.declaration)
+        source = next(found, (None,))[0]
+        return source if isinstance(source, BlockSource) else None
 
     def name_of(self, source: BlockSource) -> str:
         index, variable, element = source
@@ -605,7 +620,7 @@ class _Coupler:
             )
             for part in flat.enabled
         ) if not path else ()  # fmt: skip
-        settings = replace(self.settings, every=None, log=(), inputs={}, stops=())
+        settings = replace(self.settings, every=None, log=(), inputs={}, stops=(), stop_when="")
         name, log = path or flat.name, tuple(asked)
         return Flat(name, blocks, inputs, signals, (), settings, log, (), enabled, flat.diagram)
 

@@ -426,6 +426,7 @@ def _whole(flat: Flat, made: Folded, builder: Any, folding: _Folding) -> Plan:
         signals=_WholeSignals(flat, made, folding, builder.memory),
         log=flat.log,
         measures=flat.measures,
+        ends=None if one.ends is None else made.places("s", one.ends)[0],
         folded=made,
         written_out=lambda: whole.plan,
     )

@@ -330,6 +330,7 @@ class Plan(Shown):
     measures: tuple[MeasureSpec, ...]
     settings: RunSettings
     warnings: tuple[Fault, ...]
+    ends: int | None = None  # the crossing that ends the run after an instant at which it is on its side
     # Derived from the parts above, once, for all who run the plan.
     starting: bool | frozenset[Reference] = field(default=True, compare=False, repr=False)
     """What is computed at the start: all memory, or all but the sides where these depend on themselves."""

@@ -16,6 +16,7 @@ from ..contract.interface import Interface
 from ..contract.resolution import Resolved, memory_start
 from ..host.gc_pause import paused
 from ..model.block_signals import FlatSignal
+from ..model.conditional import Ending
 from ..model.flat_block import FlatBlock
 from ..model.flatten import Flat
 from ..model.wires import BlockSource, InputSource, Source
@@ -192,6 +193,7 @@ class _PlanBuilder:
             flat.measures,
             flat.settings,
             tuple(self.warnings()),
+            self.ends(),
         )
         return _settled(replace(draft, histories=tuple(_with_echoes(draft))))
 
@@ -334,6 +336,12 @@ class _PlanBuilder:
                 EnabledPart(part.path, side, time, frozenset(part.members), tuple(resets), frozenset(part.resets))
             )
         return tuple(parts)
+
+    def ends(self) -> int | None:
+        """Find the crossing that ends the run."""
+        blocks = self.flat.blocks if self.flat.settings.stop_when else ()
+        found = (k for k, block in enumerate(blocks) if block.interface.declaration is Ending.declaration)
+        return next((self.memory.place(k, "on")[1] for k in found), None)
 
     def causes(self, index: int) -> None:
         first, footprint = self.memory.first[index], self.memory.footprints[index]

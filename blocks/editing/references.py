@@ -43,6 +43,7 @@ _Last: TypeAlias = tuple[tuple[Kind, ...], tuple[Kind, ...]]
 _PARAMETER: _Last = (("parameter",), ("parameter",))
 _SHOWN: _Last = (("measure", "parameter", "output", "input", "block"), ("output", "block", "input", "parameter"))
 _PORT: _Last = (("output", "input"), ())
+_CONDITION: _Last = (("output", "input", "parameter"), ("output", "input"))
 _LAST: Mapping[str, _Last] = {
     "sink": (("block", "output", "input", "parameter"), ("input", "output")),
     "source": (("input", "block", "parameter"), ("output", "input")),
@@ -243,6 +244,8 @@ class _Finder:
             refers = found.refers
             if refers == "expression":
                 self.expression(body, found)
+            elif refers == "condition":
+                self.condition(body, found)
             elif refers in _LAST:
                 self.text(scopes.get(refers, body), found.value, found.path, _LAST[refers], is_key=found.is_key)
 
@@ -382,6 +385,19 @@ class _Finder:
         for start, end, name in expressions.names_at(found.value[1:]):
             if name in body.names("parameter"):
                 meanings.add(start + 1, end + 1, Target(body.file, body.scope, "parameter", name))
+        self.keep(found.path, found.is_key, meanings)
+
+    def condition(self, body: Body | None, found: Found) -> None:
+        """Collect the signals and parameters that the condition of a run reads."""
+        meanings = _Meanings()
+        if body is None:
+            return
+        for begin, _, name in expressions.signals_at(found.value):
+            own = _Meanings()
+            self.follow(body, name, _CONDITION, own)
+            for (start, end), targets in own.targets.items():
+                meanings.targets[begin + start, begin + end] = targets
+            meanings.open |= {(begin + start, begin + end) for start, end in own.open}
         self.keep(found.path, found.is_key, meanings)
 
     def keep(self, path: Steps, is_key: bool, meanings: _Meanings) -> None:

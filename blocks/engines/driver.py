@@ -67,7 +67,7 @@ class Simulation:
 
     @property
     def over(self) -> Fault | None:
-        """The warning that an FMU ended the run (W206)."""
+        """The warning that something ended the run (W206, W307)."""
         return self.engine.over
 
     @property
@@ -85,7 +85,7 @@ class Simulation:
         return self.engine.recorded_bytes + self.taken_bytes
 
     def advance_to(self, stop: Fraction, until: Callable[[], bool] | None = None) -> bool:
-        """Run up to and including the instant at `stop`, or to where an FMU ends the run.
+        """Run up to and including the instant at `stop`, or to where something ends the run.
 
         until: asked at first and after each moment, whether it is enough; no step is cut for it. It may set what can be
         set, and take rows. Returns whether it was.

@@ -141,6 +141,7 @@ def _setup(runtime: RuntimeTables, plan: Plan, settings: RunSettings) -> tuple[s
             continue
         fields[entry.name] = name
     fields["nintegers"] = int(runtime.has_integers)
+    fields["ends"] = -1 if plan.ends is None else plan.ends
     fields["base_numerator"], fields["base_denominator"] = plan.base.as_integer_ratio()
     fields["is_silent"] = 1
     fields["most_bytes"] = "0.0"

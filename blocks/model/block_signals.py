@@ -11,11 +11,12 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 from ..contract.interface import Port
 from ..text.element_names import indexed, matching
 from ..text.units import OfUnits
-from .copies import Fleet, without_numbers
+from .copies import CopySource, Fleet, without_numbers
 from .expansion import Expansion
 from .wires import BlockSource, Source
 
@@ -104,6 +105,17 @@ class Signals(Mapping[str, FlatSignal]):
             sources = tuple(BlockSource(index, port.variable, port.first + k) for k in range(port.size))
             signal = FlatSignal(name, sources, port.shape, port.units, port.declared, port.type)
         return signal, fleet, lane
+
+    def seen_outside(self, name: str) -> Source:
+        """Return the source of a signal, or of an element, as it is seen outside of all copies."""
+        signal = element_of(name, self)
+        assert signal is not None
+        _, fleet, lane = self.of_copies(name if name in self else indexed(name)[0])
+        source: Any = signal.sources[0]
+        while fleet is not None and self.expansion is None:
+            count = fleet.count
+            source, fleet, lane = CopySource(fleet, lane % count, source), fleet.outer, lane // count
+        return source  # type: ignore[no-any-return]
 
     def __getitem__(self, name: str) -> FlatSignal:
         signal, fleet, lane = self.of_copies(name)

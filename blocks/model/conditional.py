@@ -1,5 +1,7 @@
 """What stands at the edge of a subdiagram that is enabled or triggered: its inputs, its outputs and its time.
 
+And what ends a run, beside its condition.
+
 While a subdiagram is off, time stands still inside: its states, discretes and sides keep their values, and it sees its
 inputs and the time as they were when it was turned off. When it is turned on again, both jump to what they are by then.
 A triggered subdiagram sees its inputs and the time as they were at its last trigger.
@@ -39,6 +41,16 @@ class Enabled(Block):
     @output(type="bool", doc="whether it is on")
     def y(on):
         return on
+
+
+class Ending(Block):
+    """Whether the run ends: its condition holds after an instant."""
+
+    holds = Input(type="bool", doc="the condition")
+
+    @crossing
+    def on(holds):
+        return np.where(holds, 1.0, -1.0)
 
 
 class Gate(Block):

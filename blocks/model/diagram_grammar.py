@@ -229,6 +229,9 @@ MASTER = Object(
 RUN = Object(
     _later("start", TIME, "Start time, in s.", 0),
     _later("stop", TIME, "Stop time, in s. It must be given here or where the run is started."),
+    _later("stop_when", Text(refers="condition"), (
+        'A condition over signals that ends the run before its stop: "lift.height >= 3 and not lift.is_open".'
+    )),
     _later("method", Choice(METHODS), (
         "dopri5: variable steps; radau: variable steps, for stiff models; auto: dopri5, then radau if a run is found "
         "to be stiff; rk4, euler: fixed steps (`step`)."

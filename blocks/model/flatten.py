@@ -16,10 +16,11 @@ from itertools import islice
 from typing import Any
 
 from ..contract.block import Block
-from ..contract.expressions import exact_time
+from ..contract.expressions import RELATIONS, exact_time, parse, signals_at
 from ..contract.interface import Interface, Value
 from ..contract.resolution import resolve
 from ..host.gc_pause import paused
+from ..library.expression import Expression
 from ..text import units
 from ..text.element_names import indexed, matching
 from ..text.errors import Fault, ModelError
@@ -27,11 +28,11 @@ from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
 from ..text.quantity_text import in_a_file, read_quantity
 from .block_signals import FlatSignal, Signals, element_of
-from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
+from .conditional import Enabled, Ending, Gate, OutputGate, TickGate, Time, TriggerGate
 from .copies import Fleet, Later, without_numbers
 from .copy_numbers import look_into_copies
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
-from .diagram_value import DiagramValue
+from .diagram_value import BlockEntry, DiagramValue
 from .expansion import Expansion
 from .flat_block import FlatBlock, FlatEnabled
 from .hierarchy import MAX_BLOCKS, DiagramScope, Hierarchy, Leaf, Resolver, Spot
@@ -67,6 +68,7 @@ class Flat:
     parts: Mapping[int, range] = field(default_factory=dict)
     fleets: tuple[Fleet, ...] = field(default=(), compare=False, repr=False)
     root: DiagramScope | None = field(default=None, compare=False, repr=False)  # with where all values come from
+    ending: Leaf | None = field(default=None, compare=False, repr=False)  # the condition that ends a run
 
     @property
     def one_of_each(self) -> Sequence[FlatBlock]:
@@ -216,11 +218,13 @@ class _Flattener:
                 self.tell(self.root, "E502", place, "the diagram has no such input.", cure, spot)
         log = self.log(signals)
         measures = [self.measure(name, raw, signals) for name, raw in self.diagram.measures.items()]
+        ending = self.ending(signals)
         self.faults.check()
         # Without faults, nothing is left out.
         assert len(blocks) == len(self.hierarchy.leaves)
         assert all(child is not None for scope in self.hierarchy.scopes for child in scope.children.values())
         enabled = self.controlled(blocks)
+        blocks += () if ending is None else ending.blocks(len(blocks))
         self.faults.check()
         written, enabled, expansion, parts = self.taken_apart(blocks, enabled, signals)
         return Flat(
@@ -239,6 +243,7 @@ class _Flattener:
             parts,
             tuple(self.hierarchy.fleets),
             self.root,
+            None if ending is None else ending.leaf,
         )
 
     def taken_apart(
@@ -297,6 +302,59 @@ class _Flattener:
                 spot = None if "master.steps" in self.given else ("run", "master", "steps", name)
                 cure = self.faults.guess(name, paths) or "Give the path of a block, as in robot.motor."
                 self.tell(self.root, "E115", "run.master.steps", f"there is no block {quoted(name)}.", cure, spot)
+
+    # --- the condition that ends a run ------------------------------------------------------------------------
+
+    def ending(self, signals: Signals) -> _Condition | None:
+        """Read the condition that ends the run; None if there is none, or after its faults were reported."""
+        text, before = self.settings.stop_when, len(self.faults)
+        spot = None if "stop_when" in self.given else ("run", "stop_when")
+
+        def refuse(code: str, message: str, cure: str = "") -> None:
+            self.tell(self.root, code, "run.stop_when", message, cure, spot)
+
+        names = dict.fromkeys(name for _, _, name in signals_at(text))
+        read = {name: signal for name in names if (signal := element_of(name, signals)) is not None}
+        constants = [name for name in names if name not in read and name in self.root.parameters]
+        for name, signal in read.items():
+            if signal.shape != ():
+                refuse("E110", f"{name} has {math.prod(signal.shape)} elements.", f'Name one, as in "{name}[0]".')
+        for name in names:
+            if name not in read and name not in constants and not self.is_lost(name):
+                is_unit = text[: text.index(name)].rstrip()[-1:].isdigit()
+                cure = "Numbers are in SI: write them without a unit." if is_unit else ""
+                cure = cure or self.faults.guess(name, signals) or self.faults.guess(name, self.root.parameters)
+                cure = cure or "Name an output, as in lift.height, a parameter of the diagram, or t."
+                refuse("E105", f"there is no signal {quoted(name)}.", cure)
+        if len(self.faults) > before or not text or None in [self.root.parameters[name] for name in constants]:
+            return None
+        truths = frozenset(name for name, signal in read.items() if signal.type == "bool")
+        try:
+            condition = parse(text, truths=truths)
+        except ModelError as error:
+            refuse("E108", error.faults[0].message, error.faults[0].cure)
+            return None
+        if not condition.is_truth:
+            refuse("E108", f"{quoted(text)} is a number, not a condition.", "Compare it, as in x >= 3.")
+        for left, right, relation in zip(condition.steps, condition.steps[1:], condition.steps[2:], strict=False):
+            pair = [read[step.word] for step in (left, right) if step.word in read]
+            if relation.word in RELATIONS and len(pair) == 2 and not units.same_quantity(pair[0].unit, pair[1].unit):
+                shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in pair)
+                refuse("E104", f"{shown} are different quantities.", "Compare signals of the same quantity.")
+        if len(self.faults) > before:
+            return None
+        # The formula of an Expression has numbered inputs and constants; a truth value becomes a comparison of 0 or 1.
+        numbered = {name: f"u{k + 1}" for k, name in enumerate(read)}
+        numbered |= {name: f"k{k + 1}" for k, name in enumerate(constants)}
+        for begin, end, name in [*signals_at(text)][::-1]:
+            text = text[:begin] + (f"({numbered[name]} > 0)" if name in truths else numbered[name]) + text[end:]
+        path = "stop_when"
+        while any(path in names for names in (self.root.children, self.root.parameters, self.diagram.inputs)):
+            path += "_"
+        given = {"expression": text, "k": [f"=1*{name}" for name in constants]}
+        made = self.hierarchy.numbers(self.root, path, BlockEntry(cls=Expression, parameters=given))
+        sources = tuple(signals.seen_outside(name) for name in read)
+        return None if made is None else _Condition(Leaf(path, self.root, *made, -1), sources)
 
     # --- enabled and triggered subdiagrams ---------------------------------------------------------------------
 
@@ -576,6 +634,20 @@ class _Flattener:
             self.tell(self.root, "E116", place, f'"{key}" must be a number.', in_a_file(raw), spot)
             return None
         return None if value is None else value.value
+
+
+@dataclass(frozen=True, slots=True)
+class _Condition:
+    """The condition that ends a run: a formula, which is in no diagram, and what it reads."""
+
+    leaf: Leaf
+    sources: tuple[Source, ...]
+
+    def blocks(self, index: int) -> list[FlatBlock]:
+        """The formula, with this index, and whether it holds."""
+        formula = FlatBlock(self.leaf.path, self.leaf.resolved, {"u": self.sources}, hidden=True)
+        holds = resolve(Ending, {}, self.leaf.path)
+        return [formula, FlatBlock(self.leaf.path, holds, {"holds": (BlockSource(index, "y", 0),)}, hidden=True)]
 
 
 class _Edges:

@@ -56,12 +56,14 @@ class MasterSettings:
 class RunSettings:
     """How a diagram is simulated. Times are exact; `step` is for fixed-step methods, `every` is the recording grid.
 
+    stop_when: a condition over signals that ends the run; "": none.
     jumps: whether rows before and after jumps stand between those of the grid; without a grid they always stand.
     seed: of all streams of random numbers. loops: "error", or "solve" to solve algebraic loops by Newton's method.
     """
 
     start: Fraction = Fraction(0)
     stop: Fraction | None = None
+    stop_when: str = ""
     method: str = RUN.by_key["method"].default
     step: Fraction | None = None
     rtol: float = RUN.by_key["rtol"].default
@@ -188,6 +190,13 @@ class _Settings:
 
 
 class _RunSettings(_Settings):
+    def text(self, key: str) -> None:
+        text = self.given.get(key, "")
+        if isinstance(text, str):
+            self.made[key] = text.strip()
+        else:
+            self.fault(key, f"must be a text, not {_shown(text)}.", 'Example: "lift.height >= 3".')
+
     def times(self) -> None:
         for key in TIMES:
             if key not in self.given:
@@ -349,6 +358,7 @@ def read_settings(
     reader.times()
     reader.jumps()
     reader.stops()
+    reader.text("stop_when")
     reader.plain("rtol", "atol")
     reader.made["gives_rtol"] = "rtol" in reader.made
     reader.method(step_of_file="method" in over and "step" not in over)

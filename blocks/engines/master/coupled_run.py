@@ -24,7 +24,7 @@ from ...fmi.patience import patient, undisturbed
 from ...results.results import Event, Statistics
 from ...text.arrays import Array
 from ...text.errors import BlocksError, Fault, UsageError
-from ..run.engine import Recorded
+from ..run.engine import Recorded, ended_by
 from ..run.measures import Measures
 from ..run.recording import Recording
 from ..run.saved_state import State
@@ -155,7 +155,11 @@ class CoupledRun(Exchange, ABC):
 
     @property
     def over(self) -> Fault | None:
-        return self.told_over or next((unit.over for unit in self.units if unit.over is not None), None)
+        told = self.told_over or next((unit.over for unit in self.units if unit.over is not None), None)
+        ends = self.plan.ends
+        if told is not None or ends is None or not self.y[ends] or any(at != self.t for at in self.at):
+            return told  # behind a unit that lags, the condition is one of its extrapolated outputs
+        return ended_by(self.settings.stop_when, self.t)
 
     def _tell_growth(self, element: int, circle: int, t: float) -> None:
         if circle not in self.grown:
@@ -329,21 +333,20 @@ class CoupledRun(Exchange, ABC):
         t, right = self.t, self._row(self.plan.columns)
         every = self.settings.every
         on_grid = every is None
-        if self.over is not None:
-            self.end = t
+        end = self.end if self.over is None else t
         if every is not None and self.exact is not None:
             on_grid = ((self.exact - self.settings.start) / every).denominator == 1
         last = self.recording.last[0]
         if not self.settings.records_jumps:
             if t == last:
                 self.recording.replace_last(right)
-            elif on_grid or t == self.end:
+            elif on_grid or t == end:
                 self.recording.add(t, right)
         elif left is not None and left != right:
             if t != last:
                 self.recording.add(t, left)
             self.recording.add(t, right)
-        elif (on_grid or t == self.end) and t != last:
+        elif (on_grid or t == end) and t != last:
             self.recording.add(t, right)
 
     # --- from outside ------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ from ...text.arrays import Array
 from ...text.errors import Fault, FMUError
 from ..native.run_handle import LARGEST_SPARE, MOST_SPARE, array, track_table
 from ..run.memory_estimate import COPIES_OF_MASTER, no_room
-from .coupled_run import MOST_LEARNT, CoupledRun, Row
+from .coupled_run import MOST_LEARNT, CoupledRun
 from .limits import limits_header
 from .policy import Policy
 from .stepped_units import (
@@ -252,6 +252,7 @@ class NativeMaster(CoupledRun):
         self._c_tracks(m)
         segment = self.segment
         m.base, m.aim, m.begin, m.finish = map(self._array, (segment.base, segment.aim, segment.begin, segment.end))
+        m.ending = -1 if coupling.ends is None else coupling.ends
         m.t, m.start, m.broken, m.end = self.t, self.t, self.broken, self.end
         if _SPARE:
             m.rows.data, m.rows.capacity = _SPARE.pop()
@@ -492,6 +493,7 @@ class NativeMaster(CoupledRun):
             element = ctypes.c_int32.from_address(m.grown + 4 * c_growth.circle).value
             if element >= 0:
                 self._tell_growth(element, c_growth.circle, array(m.grown_t, m.nwatched)[c_growth.circle])
+        self.at = [c_unit.t for c_unit in (MasterUnit * m.nunits).from_address(m.units)]
         for c_unit, running in zip((MasterUnit * m.nunits).from_address(m.units), self.units, strict=False):
             if not math.isnan(c_unit.late_t):
                 self.late.setdefault(self.units.index(running), acts_later(running.unit, c_unit.late_t))
@@ -633,7 +635,3 @@ class NativeMaster(CoupledRun):
             self._c_tracks(self._c)  # the row before is recorded with the segment of the old ones
             self._changed(is_input=True)
 
-    def values(self, references: Any) -> Row:
-        if self._c is not None:
-            self.at = [c_unit.t for c_unit in (MasterUnit * self._c.nunits).from_address(self._c.units)]
-        return super().values(references)

@@ -17,6 +17,7 @@ from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ...text.arrays import Array
 from ...text.errors import Fault
+from ..run.engine import ended_by
 from ..run.many_runs import Row, cores
 from ..run.measures import Measures
 from .model import Model
@@ -168,6 +169,9 @@ def _row(
     if status != _DONE:
         return Row(steps, {}, _why(plan, kept, i), None, signals)
     values, faults = measures.kept(kept["measured"][i], paths).results(float(kept["ended"][i]))
+    ended, stop = float(kept["ended"][i]), plan.settings.stop
+    if stop is not None and ended < stop:
+        faults = (*faults, ended_by(plan.settings.stop_when, ended))
     return Row(steps, values, faults[0] if faults else None, "ok", signals)
 
 

@@ -149,6 +149,7 @@ class Model(RuntimeTables):
         setup.fixed = grid_of(start, settings.step, settings.stop)
         setup.every = grid_of(start, settings.every, settings.stop)
         setup.has_jumps = int(settings.records_jumps)
+        setup.ends = -1 if plan.ends is None else plan.ends
         rows: Fraction | int = 256
         if settings.every is not None and settings.stop is not None:
             rows = (settings.stop - start) / settings.every + 64

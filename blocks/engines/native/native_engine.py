@@ -28,7 +28,7 @@ from ...host.available_memory import for_recording
 from ...results.results import Event, Events, Statistics
 from ...text.arrays import Array, frozen
 from ...text.errors import BlocksError, Fault, SimulationError, UsageError
-from ..run.engine import Recorded, heard_by_python
+from ..run.engine import Recorded, ended_by, heard_by_python
 from ..run.measures import Measures
 from ..run.memory_estimate import COPIES
 from ..run.saved_state import State, fit, standing
@@ -228,10 +228,13 @@ class NativeEngine:
 
     @property
     def over(self) -> Fault | None:
-        return None if self._foreign is None else self._foreign.over
+        foreign = None if self._foreign is None else self._foreign.over
+        if foreign is not None or self.plan.ends is None or not self._row("s")[self.plan.ends]:
+            return foreign
+        return ended_by(self.settings.stop_when, self.t)
 
     def _record_end(self) -> None:
-        """The last row, where an FMU ended the run."""
+        """The last row, where something ended the run."""
         rows = self.recorded().t
         if len(rows) and within_ulps(float(rows[-1]), self.t, 0.0):
             return

@@ -26,7 +26,7 @@ from ...fmi.patience import patient
 from ...results.results import Event, Statistics
 from ...text.arrays import Array, frozen
 from ...text.errors import Fault, SimulationError
-from ..run.engine import Recorded, heard_by_python
+from ..run.engine import Recorded, ended_by, heard_by_python
 from ..run.history import POWERS, Past, has_jumped
 from ..run.measures import Measures
 from ..run.model_exchange import Foreigns
@@ -236,7 +236,12 @@ class ReferenceEngine:
 
     @property
     def over(self) -> Fault | None:
-        return self.instants.foreign.over
+        foreign = self.instants.foreign.over
+        return ended_by(self.settings.stop_when, self.now.t) if foreign is None and self._holds(self.now.s) else foreign
+
+    def _holds(self, sides: Sequence[float]) -> bool:
+        """Return whether the condition that ends the run holds."""
+        return self.plan.ends is not None and len(sides) > 0 and sides[self.plan.ends] > 0
 
     def proceed(self, stop: Fraction) -> bool:
         end = float(stop)
@@ -391,7 +396,7 @@ class ReferenceEngine:
     def _record(self, left: Row | None, memory: tuple[Any, ...]) -> None:
         if self.is_silent:
             return
-        if self.over is not None:
+        if self.over is not None or self._holds(memory[3]):
             self.rows.end = memory[0]
         if self.rows.wants(memory[0]):
             self.rows.at_instant(memory[0], left, self._finite(self._logged, memory))

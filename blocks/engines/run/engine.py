@@ -43,6 +43,11 @@ class Recorded:
     warnings: tuple[Fault, ...]
 
 
+def ended_by(condition: str, t: float) -> Fault:
+    """Return the warning that the condition of a run ended it (W307)."""
+    return Fault("W307", "run.stop_when", f"the run ended at t = {t:.10g} s: {condition}.")
+
+
 class Engine(Protocol):
     """One run of a Plan or of a Coupling under way.
 
@@ -74,7 +79,7 @@ class Engine(Protocol):
 
     @property
     def over(self) -> Fault | None:
-        """The warning that an FMU ended the run (W206), which goes no further."""
+        """The warning that an FMU (W206) or the condition of the run (W307) ended it, which goes no further."""
         ...
 
     @property
@@ -115,7 +120,7 @@ class Engine(Protocol):
     def proceed(self, stop: Fraction) -> bool:
         """Go on for a moment (a step, an instant, or a slice of computing) towards `stop`, and not beyond.
 
-        Returns whether it has come there, with all that happens at that time, or to where an FMU ended the run.
+        Returns whether it has come there, with all that happens at that time, or to where something ended the run.
         """
         ...
 

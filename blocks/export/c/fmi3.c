@@ -633,7 +633,8 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
                                 in->intermediate ? intermediate : NULL, in, &step);
     *eventHandlingNeeded = step.event_needed != 0;
     *terminateSimulation = step.terminate != 0;
-    *earlyReturn = step.returned_early != 0;
+    /* Where the run ends by its condition, the step ends early too, and lastSuccessfulTime tells. */
+    *earlyReturn = step.returned_early && (in->may_return_early || !step.terminate);
     *lastSuccessfulTime = step.last_time;
     return (fmi3Status)status;
 }

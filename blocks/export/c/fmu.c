@@ -1005,6 +1005,7 @@ int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
         events->states_changed = 1;
     events->next = blocks_next(s);
     events->has_next = isfinite(events->next);
+    events->terminate = blocks_has_ended(s);
     return FMU_OK;
 }
 
@@ -1211,7 +1212,8 @@ static int step_to(Fmu *f, double begin, double goal, int early, FmuIntermediate
             if (is_due && settled(f)) return FMU_ERROR;
             s->outstanding = 0;
         }
-        if (!(s->t < end)) return FMU_OK;
+        step->terminate = blocks_has_ended(s);
+        if (step->terminate || !(s->t < end)) return FMU_OK;
         int came = blocks_proceed(s, end, 0, 0);
         follow(f);
         if (came == BLOCKS_FAILED || came == BLOCKS_NO_MEMORY) {

@@ -3241,15 +3241,15 @@ int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t exact)
     return stopped == BLOCKS_FAILED && s->failure == -1 ? BLOCKS_NO_MEMORY : stopped;
 }
 
-/* Run up to and including the instant at `end`. */
+/* Run up to and including the instant at `end`, or at which the condition of the run holds. */
 HOT int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
 {
     s->failure = BLOCKS_FINE;
     look_at_clock(s);
-    while (s->outstanding || s->t < end) {
+    while (s->outstanding || (s->t < end && !blocks_has_ended(s))) {
         if (s->outstanding) {
             if (instant(s, 0)) return s->failure == -1 ? BLOCKS_NO_MEMORY : BLOCKS_FAILED;
-            if (s->t < end && (s->t >= s->soft || (--s->budget <= 0 && blocks_clock(s)))) return BLOCKS_PAUSED;
+            if (s->t < end && !blocks_has_ended(s) && (s->t >= s->soft || (--s->budget <= 0 && blocks_clock(s)))) return BLOCKS_PAUSED;
             continue;
         }
         int stopped = s->model->run(s, next_instant(s, end, count, exact));

@@ -231,6 +231,7 @@ typedef struct {
     double most_bytes; /* of what is recorded */
     int32_t is_silent; /* whether nothing is recorded */
     int32_t has_jumps; /* whether a jump of what is recorded stands as two rows, wherever it is */
+    int32_t ends;      /* the crossing that ends the run after an instant at which it is on its side; -1: none */
 } BlocksSetup;
 
 /* Inputs that change as polynomials of t - t0: (nu) values, then derivatives of order 1, 2 and 3. */
@@ -395,6 +396,7 @@ BLOCKS_API void blocks_reset(BlocksSim *s);              /* as it was when it wa
 BLOCKS_API int blocks_begin(BlocksSim *s);               /* start values; the instant at the start is outstanding */
 BLOCKS_API int blocks_start(BlocksSim *s);               /* the same, and that instant */
 BLOCKS_API int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact);
+BLOCKS_INLINE int blocks_has_ended(const BlocksSim *s) { return s->setup->ends >= 0 && s->memory.s[s->setup->ends] != 0.0; }
 BLOCKS_API int blocks_settle(BlocksSim *s);              /* the instant that is outstanding, if any */
 BLOCKS_API int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t exact); /* up to the next instant */
 BLOCKS_API int blocks_is_due(const BlocksSim *s);        /* whether anything happens at an instant now */

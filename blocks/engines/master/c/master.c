@@ -77,6 +77,16 @@ static int is_over(const Master *m)
     return 0;
 }
 
+/* Whether a unit ended the run, or its condition: behind a unit that lags, that is one of its extrapolated outputs. */
+static int has_ended(const Master *m)
+{
+    if (is_over(m)) return 1;
+    if (m->ending < 0 || m->y[m->ending] == 0.0) return 0;
+    for (int k = 0; k < m->nunits; k++)
+        if (m->units[k].t != m->t) return 0;
+    return 1;
+}
+
 static void pack(const MasterGroup *g, const double *from)
 {
 #define EACH(made)                                                                                                     \
@@ -865,19 +875,19 @@ static int record(Master *m, const double *left)
 {
     double last = m->rows.used ? m->rows.data[m->rows.used - 1 - m->ncolumns] : NAN;
     int is_row = on_grid(m);
-    if (is_over(m)) m->end = m->t;
+    const double end = has_ended(m) ? m->t : m->end;
     while (m->every.is_given && blocks_grid(&m->every, m->row) <= m->t) m->row++;
     if (!m->has_jumps) {
         double *values = m->left_row + m->ncolumns;
         int is_first = m->t == m->start && !m->rows.used;
-        if (m->t != last && !is_row && m->t != m->end && !is_first) return 0;
+        if (m->t != last && !is_row && m->t != end && !is_first) return 0;
         if (recorded(m, values)) return 1;
         if (m->t != last) return add_row(m, values);
         memcpy(m->rows.data + m->rows.used - m->ncolumns, values, (size_t)m->ncolumns * sizeof(double));
         return 0;
     }
     if (!left) {
-        if (!(is_row || m->t == m->end) || m->t == last) return 0;
+        if (!(is_row || m->t == end) || m->t == last) return 0;
         double *row = more(m, &m->rows, 1 + m->ncolumns);
         if (!row) return 1;
         row[0] = m->t;
@@ -889,7 +899,7 @@ static int record(Master *m, const double *left)
         if (m->t != last && add_row(m, left)) return 1;
         return add_row(m, right);
     }
-    return (is_row || m->t == m->end) && m->t != last ? add_row(m, right) : 0;
+    return (is_row || m->t == end) && m->t != last ? add_row(m, right) : 0;
 }
 
 /* --- a communication point ------------------------------------------------------------------------------------------- */
@@ -1366,7 +1376,7 @@ static int controlled(Master *m, double limit)
         if (from < middle && middle < t1) {
             BACK();
             TO(middle);
-            if (m->t == middle && !is_over(m)) {
+            if (m->t == middle && !has_ended(m)) {
                 TO(t1);
                 for (int g = 0; g < n; g++) {
                     if (m->elements[g].is_held) continue;
@@ -1548,7 +1558,7 @@ int master_run(Master *m, double stop)
         for (int k = 0; k < m->nunits; k++) m->units[k].t = m->t;
         return wrong ? MASTER_FAILED : m->t < stop ? MASTER_PAUSED : MASTER_DONE;
     }
-    while (m->t < stop && !is_over(m)) {
+    while (m->t < stop && !has_ended(m)) {
         double limit = stop, edge = m->ntracks ? next_break(m, m->broken) : INFINITY;
         int calm;
         if (edge < limit && !blocks_within_ulps(edge, limit, 0.0)) limit = edge;

@@ -160,6 +160,7 @@ typedef struct {
     const BlocksTrack *tracks;
     double *base, *aim, *begin, *finish; /* (nu) the segment of the diagram's inputs */
     double t, broken, end, start, h;
+    int32_t ending; /* the element that ends the run at a communication point where it is true; -1: none */
     BlocksGrid every;
     int64_t row, fresh; /* fresh: so many steps since something jumped */
     int32_t has_jumps; /* whether a jump of what is recorded stands as two rows, wherever it is */
