@@ -146,6 +146,44 @@ class Margins(Shown):
         """The least |1 + L|, 1/Ms: the distance of the Nyquist curve from -1."""
         return 1.0 / self.Ms if self.Ms else math.inf
 
+    # The same numbers under python-control's names: inf for no margin, and nan for no frequency. Borders at frequency 0
+    # and at the highest one count here, too.
+
+    @property
+    def gm(self) -> float:
+        """The gain margin of control.margin: the factor nearest to 1, upward or downward; inf: none."""
+        return self._nearest[0]
+
+    @property
+    def wcg(self) -> float:
+        """The frequency of `gm`."""
+        return self._nearest[1]
+
+    @property
+    def pm(self) -> float:
+        """The phase margin of control.margin in degrees, `phase_deg`; inf: none."""
+        return math.inf if self.phase_deg is None else self.phase_deg
+
+    @property
+    def wcp(self) -> float:
+        """The frequency of `pm`."""
+        return math.nan if self.crossover is None else self.crossover
+
+    @property
+    def sm(self) -> float:
+        """The stability margin of control.stability_margins, `modulus`."""
+        return self.modulus
+
+    @property
+    def wms(self) -> float:
+        """The frequency of `sm`."""
+        return self.Ms_frequency
+
+    @property
+    def _nearest(self) -> tuple[float, float]:
+        factors = (crossing for crossing in self.gains if 0 < crossing[0] < math.inf)
+        return min(factors, key=lambda crossing: abs(math.log(crossing[0])), default=(math.inf, math.nan))
+
     @property
     def disk_gain(self) -> float:
         """The factor by which gain may grow or shrink, at any phase within the disk; inf from alpha = 2 on."""

@@ -21,6 +21,7 @@ from ..text.rich_output import Part, Shown, Table, as_html, as_text
 from . import files
 from .arrow import Stored
 from .provenance import Origin
+from .step_info import step_info
 from .table import FileTable, optional
 
 BARS = "▁▂▃▄▅▆▇█"
@@ -135,6 +136,35 @@ class Signal(np.ndarray[Any, Any]):
 
     def _repr_html_(self) -> str | None:
         return as_html(parts) if (parts := self._parts()) else None
+
+    def step_info(
+        self,
+        *,
+        yfinal: float | None = None,
+        SettlingTimeThreshold: float = 0.02,
+        RiseTimeLimits: tuple[float, float] = (0.1, 0.9),
+        start: float | None = None,
+    ) -> dict[str, float]:
+        """Return the measures of a step response under the names of `control.step_info`, from the recorded rows.
+
+        RiseTime, SettlingTime, SettlingMin, SettlingMax, Overshoot and Undershoot (in percent), Peak, PeakTime and
+        SteadyStateValue: the response is that to a step from 0. yfinal: the final value, if it is not the last row.
+        SettlingTimeThreshold, RiseTimeLimits: shares of the final value. start: the time of the step in s; rows before
+        it are left out, and times count from it. NaN: what the response does not reach.
+
+        Measures of the diagram (`overshoot`, `rise_time`, `settling_time`) count from the first value to a reference
+        and find their times between the rows. Raises UsageError (E501) for a vector and for a signal without rows.
+        """
+        if self.ndim != 1 or len(self) != len(self.t):
+            message = f"is not one whole signal: its shape is {self.shape}, and it has {counted(len(self.t), 'time')}."
+            cure = 'Use results["y"] or, of a vector, results["y[0]"] or results.step_info("y").'
+            raise UsageError(Fault("E501", self.name or "step_info", message, cure))
+        first = int(np.searchsorted(self.t, start)) if start is not None else 0
+        if first == len(self):
+            message = f"has no row from {start:g} s on." if start is not None else "has no rows."
+            raise UsageError(Fault("E501", self.name, message, "Let the run last longer."))
+        y, t = np.asarray(self)[first:], self.t[first:] - (start or 0.0)
+        return step_info(y, t, yfinal, SettlingTimeThreshold, RiseTimeLimits)
 
     def __array_wrap__(self, array: Any, context: object = None, return_scalar: bool = False) -> Any:
         # What is computed from a signal is an array of numbers; it no longer has this signal's unit and name.
@@ -369,15 +399,7 @@ class Results(Shown):
                 raise UsageError(Fault("E501", "plot", message, 'Set label="..." for one of them.'))
             return self._overlaid({label or self.diagram: self, **beside}, names, most)
         columns = self._elements()
-        picked: list[str] = []
-        for name in names:
-            if name in columns:
-                picked.append(name)
-                continue
-            self[name]  # raises a KeyError that suggests what is meant
-            picked += [other for other in columns if other.partition("[")[0] == name]
-        if not names:
-            picked = list(columns)[:most]
+        picked = self._picked(names) if names else list(columns)[:most]
         if len(picked) > most:
             cure = f"To draw them all, use plot(..., most={len(picked)})."
             message = f"{len(picked)} signals are too many for one figure; the limit is {most}."
@@ -396,6 +418,36 @@ class Results(Shown):
             unit = "" if key.startswith("\0") else f"[{key}]"
             parts.append(plots.Panel(tuple(lines), f"{single} {unit}".strip() or "value"))
         return plots.panels(parts, xlabel="time [s]", title=self.diagram)
+
+    def step_info(
+        self,
+        *names: str,
+        yfinal: float | None = None,
+        SettlingTimeThreshold: float = 0.02,
+        RiseTimeLimits: tuple[float, float] = (0.1, 0.9),
+        start: float | None = None,
+    ) -> dict[str, dict[str, float]]:
+        """Return `Signal.step_info` of each element of the named signals, of all without names, by element.
+
+        pandas.DataFrame(results.step_info()) is a table. Raises UsageError (E501), KeyError.
+        """
+        return {
+            name: self[name].step_info(
+                yfinal=yfinal, SettlingTimeThreshold=SettlingTimeThreshold, RiseTimeLimits=RiseTimeLimits, start=start
+            )
+            for name in (self._picked(names) if names else self._elements())
+        }
+
+    def _picked(self, names: Sequence[str]) -> list[str]:
+        """Return the elements of the named signals. Raises KeyError."""
+        columns, picked = self._elements(), list[str]()
+        for name in names:
+            if name in columns:
+                picked.append(name)
+                continue
+            self[name]  # raises a KeyError that suggests what is meant
+            picked += [other for other in columns if other.partition("[")[0] == name]
+        return picked
 
     def _overlaid(self, runs: Mapping[str, Results], names: Sequence[str], most: int) -> object:
         """A panel for each signal, with a curve of each of the runs, of which this one is the first."""

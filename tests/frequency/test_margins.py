@@ -137,6 +137,32 @@ def test_margins_agree_with_eigenvalues_and_with_python_control(gains: Any) -> N
         assert value == (by_polynomials[name] if value is None else pytest.approx(by_polynomials[name], rel=1e-8))
 
 
+@pytest.mark.parametrize("seed", range(60))
+def test_margins_have_the_names_of_python_control(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    states, gain, sign = int(rng.integers(1, 5)), 10.0 ** rng.uniform(-1, 1.5), rng.choice([1.0, -1.0])
+    A, B, C = rng.normal(size=(states, states)), rng.normal(size=(states, 1)), rng.normal(size=(1, states))
+    system = sign * gain * control.ss(A - (0.1 + np.max(np.linalg.eigvals(A).real)) * np.eye(states), B, C, 0)
+    found = margins(system)
+    gm, pm, sm, at_gain, at_phase, at_modulus = control.stability_margins(system)
+    if gm > 1e8:  # rounding of its polynomials makes a crossing far above the loop
+        gm, at_gain = math.inf, math.nan
+    ours = (found.gm, found.pm, found.wcg, found.wcp)
+    assert ours == pytest.approx((gm, pm, at_gain, at_phase), rel=1e-4, nan_ok=True)
+    # It looks for the least distance between 0 and infinity, but not there.
+    if 0 < found.wms < math.inf:
+        assert (found.sm, found.wms) == pytest.approx((sm, at_modulus), rel=1e-4)
+    else:
+        assert found.sm <= sm
+
+
+def test_a_loop_without_margins_has_those_of_python_control() -> None:
+    found = margins(control.ss(control.tf([0.5], [1.0, 1.0])))
+    theirs = control.margin(control.tf([0.5], [1.0, 1.0]))
+    assert (found.gm, found.pm, found.wcg, found.wcp) == pytest.approx(theirs, nan_ok=True)
+    assert found.gain is None
+
+
 def test_every_distance_is_where_it_says() -> None:
     system = loop()
     found = margins(system)
