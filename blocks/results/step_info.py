@@ -17,7 +17,7 @@ def step_info(y: Array, t: Array, final: float | None, threshold: float, rise: t
 
     final: the value at which it settles (None: its last value). threshold: half the width of the band of the settling
     time, and rise: the levels of the rise time, as shares of the final value. Overshoot and Undershoot are in percent.
-    NaN stands for what the response does not reach, and for all shares of a final value that is 0 or not finite.
+    NaN: what the response does not reach, and all shares of a final value that is 0 or not finite.
     """
     final = float(y[-1]) if final is None else float(final)
     top = int(np.argmax(np.abs(y)))
