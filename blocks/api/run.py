@@ -40,6 +40,7 @@ from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
+from ..text.json_number import is_number
 from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
 from .case import Case, Inputs, sources
@@ -300,7 +301,7 @@ class Run:
                 unit = interface.declared_unit(interface.declaration.parameters[name])
                 size = np.size(blocks[owner].resolved.values[name].value)
             bare = raw.get("value") if isinstance(raw, Mapping) else raw
-            is_filled = size > 1 and isinstance(bare, (int, float)) and not isinstance(bare, bool)
+            is_filled = size > 1 and is_number(bare)
             texts[path] = _shown(raw, unit) + (f" (all {size} elements)" if is_filled else "")
         return texts
 
@@ -580,8 +581,7 @@ def _shown(raw: object, unit: str) -> str:
         return _shown(raw.get("value"), str(raw.get("unit", unit)))
     if isinstance(raw, (list, tuple)) and any(isinstance(item, Mapping) for item in raw):
         return f"[{', '.join(_shown(item, unit) for item in raw)}]"
-    is_number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
-    return f"{raw:g} {unit}".strip() if is_number else str(raw_of(raw))
+    return f"{raw:g} {unit}".strip() if is_number(raw) else str(raw_of(raw))
 
 
 def _given_input(value: object, type_: str) -> object:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..text.arrays import Array, frozen
 from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.json_number import is_number
 from ..text.units import Declared, si_text, single, to_si
 from ..text.units import parse as parse_unit
 from .captured_values import outside
@@ -374,7 +375,7 @@ def _members(parameter: Parameter, raw: object) -> Array:
     for place, item in np.ndenumerate(names):
         if item in known:
             numbers[place] = known[item]
-        elif isinstance(item, (int, float)) and not isinstance(item, bool) and item in known.values():
+        elif is_number(item) and item in known.values():
             numbers[place] = item
         else:
             raise ValueError(f"must be one of {', '.join(known)}, not {item!r}.")

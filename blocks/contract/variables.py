@@ -13,6 +13,7 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 
 from ..text.errors import ModelError
+from ..text.json_number import is_number
 from ..text.units import parse as parse_unit
 from .enumerations import Enumeration
 from .reads import Function, arguments, refuse
@@ -473,7 +474,7 @@ class Clock:
                 refuse("E405", "", 'every="step" cannot have an offset.')
             return
         for word, value in (("every", self.every), ("offset", self.offset)):
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            number = is_number(value)
             if not (number or isinstance(value, Parameter) or callable(value)):
                 refuse("E405", "", f"{word}={value!r} is not a number, a parameter or a function of parameters.")
             if number and not (math.isfinite(value) and (value > 0 if word == "every" else value >= 0)):

@@ -8,6 +8,7 @@ from itertools import pairwise
 from math import ceil, floor, isfinite
 from typing import Any
 
+from ..text.json_number import is_number
 from .diagram_parts import BEFORE, Part, Parts
 from .layout_graph import Arranged, Graph, GraphNode, Net, Point, bounds
 from .picture import Kept, Picture
@@ -101,7 +102,7 @@ def graph_of(parts: Parts, pieces: Sequence[Piece], kept: Kept) -> Graph:
 def _position(raw: object) -> Point | None:
     if not isinstance(raw, Sequence) or isinstance(raw, str) or len(raw) != 2:
         return None
-    if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in raw):
+    if not all(map(is_number, raw)):
         return None
     x, y = float(raw[0]), float(raw[1])
     return (x, y) if isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= FARTHEST else None

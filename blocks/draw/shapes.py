@@ -8,6 +8,7 @@ from functools import partial
 from math import ceil, inf, sqrt
 from typing import Any
 
+from ..text.json_number import is_number
 from .pictograms import PICTOGRAMS
 from .text import cut, fitted, shown, width_of
 
@@ -216,7 +217,7 @@ def polynomial(coefficients: object, variable: str = "s") -> str:
     terms: list[str] = []
     for index, raw in enumerate(coefficients):
         power = len(coefficients) - 1 - index
-        if isinstance(raw, bool) or not isinstance(raw, int | float):
+        if not is_number(raw):
             return ""
         if raw == 0:
             continue

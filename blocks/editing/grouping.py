@@ -22,6 +22,7 @@ from ..text.errors import Fault, ModelError, UsageError
 from ..text.grammar import Steps
 from ..text.json_document import Document, place_of
 from ..text.json_edits import same
+from ..text.json_number import is_number
 from ..text.printable import quoted
 from . import tree
 from .edits import files_with
@@ -403,8 +404,7 @@ class _Lifted:
             if parameter not in parameters:
                 raw = given.get(parameter, default)
                 unit = default.get("unit") if isinstance(default, Mapping) else None
-                is_bare = isinstance(raw, (int, float)) and not isinstance(raw, bool)
-                parameters[parameter] = {"value": raw, "unit": unit} if unit and is_bare else raw
+                parameters[parameter] = {"value": raw, "unit": unit} if unit and is_number(raw) else raw
         stream = self.block.get("stream", name)
         lifted = dict(tree.table_at(self.diagram, ("blocks",)))
         for path, own in drawing(spot.file, self.targets_now(), spot.workspace).items():

@@ -27,7 +27,7 @@ from ..text.errors import Fault, ModelError, UsageError
 from ..text.grammar import ANY, AnyOf, Field, ListOf, Object, Scalar, Steps, Table, Text, in_words
 from ..text.json_document import place_of
 from ..text.json_edits import same
-from ..text.json_number import Number
+from ..text.json_number import Number, is_number
 from ..text.printable import quoted
 from . import tree
 from .edits import Workspace, files_with
@@ -157,7 +157,7 @@ def _literal(spot: Spot, target: Target, raw: object, path: Steps) -> str:
     if isinstance(number, str) and is_expression(number) and not unit:
         return f"({number[1:].strip()})"
     try:
-        si = float(number) if isinstance(number, (int, float)) and not isinstance(number, bool) else float("nan")
+        si = float(number) if is_number(number) else float("nan")
         si = units.to_si(si, unit) if unit else si
     except ValueError:
         si = float("nan")

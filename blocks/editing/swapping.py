@@ -10,6 +10,7 @@ from ..model.diagram_value import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.variants import Match, Swap, match, used_ports
 from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.json_number import is_number
 from ..text.printable import legible, quoted
 
 
@@ -73,8 +74,7 @@ def _with_values(
             dropped.append((key, "there is none of this name"))
             continue
         unit = units[0].get(key, "")
-        is_number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
-        if is_number and unit and unit != units[1][key]:
+        if is_number(raw) and unit and unit != units[1][key]:
             raw = {"value": raw, "unit": unit}  # it was meant in the unit that the other one declares
         tried = replace(new, parameters={**new.parameters, key: raw})
         try:

@@ -10,7 +10,7 @@ import re
 import unicodedata
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.json_document import AT_KEY, Path, nearest
@@ -36,10 +36,6 @@ UMLAUTS = {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue
 
 def is_name(text: object) -> bool:
     return isinstance(text, str) and bool(NAME.match(text))
-
-
-def is_plain_number(raw: object) -> TypeGuard[int | float]:
-    return isinstance(raw, (int, float)) and not isinstance(raw, bool)
 
 
 def check_name(name: object) -> None:

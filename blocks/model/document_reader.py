@@ -22,7 +22,7 @@ from ..text.csv_text import read_columns
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.grammar import OWN, Object, Steps, in_words, kind_of
 from ..text.json_document import Document
-from ..text.json_number import Number
+from ..text.json_number import Number, is_number
 from ..text.printable import legible, quoted
 from .diagram_grammar import (
     BODY,
@@ -46,7 +46,6 @@ from .diagram_value import (
     DiagramValue,
     FaultList,
     is_name,
-    is_plain_number,
 )
 from .project import Project, project_of, read_inside
 from .streams import is_stream
@@ -174,7 +173,7 @@ class DocumentReader:
     def measure(self, entry: Mapping[str, object]) -> Mapping[str, object]:
         """Return a measure of version 3: a plain number of version 2 becomes an expression, which is in SI, too."""
         against = entry.get("against")
-        return {**entry, "against": f"={against!r}"} if self.is_old and is_plain_number(against) else entry
+        return {**entry, "against": f"={against!r}"} if self.is_old and is_number(against) else entry
 
     def names(self, tables: Mapping[str, Mapping[str, object]], path: Steps) -> None:
         """Blocks, inputs and parameters have names that differ."""

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from .diagram_value import BlockEntry, DiagramValue, is_plain_number
+from ..text.json_number import is_number
+from .diagram_value import BlockEntry, DiagramValue
 from .document import to_document
 from .values import Column
 
@@ -21,7 +22,7 @@ def fingerprint(value: DiagramValue) -> str:
     """
     # The version of the format is no part of what is computed; 1 is what went in when there was no other.
     document = {**to_document(_bare(value)), "version": 1}
-    if any(is_plain_number(raw.get("against")) for raw in value.measures.values()):
+    if any(is_number(raw.get("against")) for raw in value.measures.values()):
         document["version"] = 3  # the same number was another value in version 2
     return hashlib.sha256(json.dumps(document).encode()).hexdigest()
 

@@ -35,6 +35,7 @@ from ..fmi.resizing import resized
 from ..fmi.types import FLOATS, INTEGERS
 from ..text import units
 from ..text.errors import Fault, FMUError, ModelError, UsageError
+from ..text.json_number import is_number
 from .diagram_grammar import LONGEST_TIMEOUT, TIMEOUT
 
 KINDS = {"CS": "Co-Simulation", "ME": "Model Exchange"}
@@ -148,7 +149,7 @@ def fmu_type(
     """
     if kind is not None and kind not in KINDS:
         raise UsageError(Fault("E501", "kind", f"{kind!r} is not a kind of FMU.", 'Kinds: "CS", "ME".'))
-    if isinstance(timeout, bool) or not isinstance(timeout, (int, float)) or not 0 < timeout <= LONGEST_TIMEOUT:
+    if not is_number(timeout) or not 0 < timeout <= LONGEST_TIMEOUT:
         raise UsageError(Fault("E501", "timeout", f"must be a time in s above 0, not {timeout!r}."))
     if not isinstance(isolate, bool):
         raise UsageError(Fault("E501", "isolate", f"must be true or false, not {isolate!r}."))

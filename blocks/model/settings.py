@@ -14,7 +14,7 @@ from ..contract.expressions import exact_time
 from ..text import units
 from ..text.errors import ModelError, did_you_mean
 from ..text.grammar import Choice, Object, Scalar
-from ..text.json_number import Number
+from ..text.json_number import Number, is_number
 from ..text.printable import quoted
 from .diagram_grammar import FIXED_STEP, LEAST_RTOL, MASTER, METHODS, QUANTITY, RUN
 
@@ -286,7 +286,7 @@ class _RunSettings(_Settings):
         for source in (self.given.get("master", {}), {} if over is None else over):
             if not isinstance(source, Mapping):
                 shown = _shown(source)
-                step = shown if isinstance(source, (int, float)) and not isinstance(source, bool) else "0.001"
+                step = shown if is_number(source) else "0.001"
                 self.fault("master", f"must be an object of settings, not {shown}.", f'As in {{"step": {step}}}.')
                 return
             steps = [layer.get("steps") for layer in (given, source)]

@@ -22,7 +22,7 @@ from ..contract.interface import Value
 from ..contract.sparse import SparseMatrix
 from ..text import units
 from ..text.errors import Fault, ModelError, UsageError
-from ..text.json_number import Number
+from ..text.json_number import Number, is_number
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
 from ..text.units import Declared, single
@@ -171,7 +171,7 @@ def in_unit(raw: object, declared: str, place: str) -> Any:
     if not isinstance(quantity, Mapping) or not {*quantity} <= {"value", "unit", "doc"}:
         return raw
     value, unit = quantity.get("value"), str(quantity.get("unit", ""))
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if not is_number(value):
         return raw
     try:
         if not declared:

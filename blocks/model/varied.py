@@ -20,6 +20,7 @@ from ..contract.interface import Value
 from ..contract.sparse import SparseMatrix
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.json_number import is_number
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from ..text.units import from_si, si_text, to_si
@@ -254,7 +255,7 @@ def _number(raw: object, unit: str, name: str) -> float:
         raise ModelError(*(replace(fault, place=fault.place or name) for fault in error.faults)) from None
     except Absent:
         number = None
-    if isinstance(number, bool) or not isinstance(number, (int, float)):
+    if not is_number(number):
         message = f"must be a number, not {legible(repr(raw))}."
         raise ModelError(Fault("E107", legible(name), message, "To use an expression, give the whole value."))
     return float(number)

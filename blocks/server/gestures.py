@@ -29,6 +29,7 @@ from ..model.values import is_expression
 from ..text import json_text, json_writer, units
 from ..text.atomic_write import check_target, refused, write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
+from ..text.json_number import is_number
 from ..text.printable import legible, quoted
 from ..text.quantity_text import value_in
 from .editor import Editor, Operations, move
@@ -481,8 +482,7 @@ def _value(
 
 def _with_unit(raw: object, unit: str | None) -> object:
     """A number with its unit, where there is one to write."""
-    is_number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
-    return raw if unit is None or not is_number else {"value": raw, "unit": unit}
+    return raw if unit is None or not is_number(raw) else {"value": raw, "unit": unit}
 
 
 def _set(session: Session, name: str, level: str, operations: Operations) -> Answer:

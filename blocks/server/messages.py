@@ -19,6 +19,7 @@ from types import NoneType, UnionType
 from typing import Any
 
 from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.json_number import is_number
 from ..text.printable import quoted
 
 Answer = dict[str, Any] | None
@@ -109,7 +110,7 @@ def _fits(value: Any, kind: Any) -> bool:
     if kind in (None, NoneType):
         return value is None
     if kind is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
+        return is_number(value)
     if kind is int:
         return isinstance(value, int) and not isinstance(value, bool)
     return isinstance(value, kind)

@@ -28,6 +28,7 @@ from ..text import units
 from ..text.arrays import Array
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, ModelError, SimulationError, UsageError, did_you_mean
+from ..text.json_number import is_number
 from ..text.printable import legible
 from ..text.rich_output import Table
 from .outcome import Outcome, panel_of, short, unit_of
@@ -116,7 +117,7 @@ def fit(
         raise UsageError(
             Fault("E501", "compare", "must be a mapping from signals to columns.", 'Example: {"motor.omega": "omega"}.')
         )
-    if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < 1:
+    if not is_number(level) or not 0 < level < 1:
         raise UsageError(
             Fault("E501", "level", f"must be a number between 0 and 1, such as 0.95, not {legible(repr(level))}.")
         )

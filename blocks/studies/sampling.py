@@ -25,6 +25,7 @@ from ..model.study_grammar import SAMPLERS
 from ..text import units as unit_texts
 from ..text.arrays import Array
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.json_number import is_number
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 
@@ -380,7 +381,7 @@ def _column(name: str, given: Any) -> Array:
         cure = "Give a list of values, or a distribution: Normal, Uniform, Distribution(...)."
         raise _refused(legible(name), f"{legible(repr(given))} does not give values.", cure)
     values = [item.item() if isinstance(item, np.generic) else item for item in given]
-    if all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in values):
+    if all(map(is_number, values)):
         return np.array(values, dtype=float)
     column = np.empty(len(values), dtype=object)
     for k, item in enumerate(values):

@@ -31,6 +31,7 @@ from ..results.table import optional
 from ..text import units as unit_texts
 from ..text.arrays import Array
 from ..text.errors import Fault, UsageError
+from ..text.json_number import is_number
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from .sampling import Rows, rows_of, seed_of
@@ -186,7 +187,7 @@ def _in_unit(name: str, column: Array, unit: str) -> Array:
         return column
     unit = unit or unit_texts.si_text(str(column[quantities.index(True)].get("unit", "")))
     numbers = [in_unit(item, unit, name) for item in column.tolist()]
-    if any(isinstance(number, bool) or not isinstance(number, (int, float)) for number in numbers):
+    if not all(map(is_number, numbers)):
         return column  # vectors and texts stay as they are given
     return np.array(numbers, dtype=float)
 

@@ -16,7 +16,7 @@ from functools import cached_property
 from itertools import islice
 from typing import Any, NamedTuple, Protocol
 
-from .json_number import Number
+from .json_number import Number, is_number
 from .printable import quoted
 from .quantity_text import in_a_file
 
@@ -314,7 +314,7 @@ class Scalar(Kind):
         """Whether it is a number within the limits, or null where that may be."""
         if value is None:
             return self.is_null
-        if type(value) not in self.types and (isinstance(value, bool) or not isinstance(value, (int, float))):
+        if type(value) not in self.types and not is_number(value):
             return False  # numbers of classes of one's own, such as those of an IntEnum, are numbers
         low, high, above, below = self.low, self.high, self.above, self.below
         is_inside = (low is None or value >= low) and (high is None or value <= high) and value != self.other

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from fractions import Fraction
 from math import isfinite
-from typing import Self
+from typing import Self, TypeGuard
 
 from .errors import Fault, ModelError
 from .printable import quoted
@@ -60,6 +60,11 @@ class Number(float):
 
     def __reduce__(self) -> tuple[type[Self], tuple[str]]:
         return type(self), (self._text,)
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a number, which true and false are not."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def spelled(text: str) -> str:
