@@ -42,7 +42,7 @@ from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.json_number import is_number
 from ..text.printable import legible, quoted
-from ..text.quantity_text import read_quantity
+from ..text.quantity_text import quantity_of, read_quantity
 from .case import Case, Inputs, sources
 from .given_values import time_of
 from .origin import origin_of
@@ -292,16 +292,13 @@ class Run:
         texts = {}
         for path, raw in self._prepared.parameters.items():
             owner, _, name = path.rpartition(".")
-            entry = self._prepared.value.parameters.get(path)
-            unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
-            before = entry.get("value") if isinstance(entry, Mapping) else entry
+            before, unit = quantity_of(self._prepared.value.parameters.get(path))
             size = np.size(before) if isinstance(before, list) else 1
             if owner in blocks and name in blocks[owner].interface.declaration.parameters:
                 interface = blocks[owner].interface
                 unit = interface.declared_unit(interface.declaration.parameters[name])
                 size = np.size(blocks[owner].resolved.values[name].value)
-            bare = raw.get("value") if isinstance(raw, Mapping) else raw
-            is_filled = size > 1 and is_number(bare)
+            is_filled = size > 1 and is_number(quantity_of(raw).value)
             texts[path] = _shown(raw, unit) + (f" (all {size} elements)" if is_filled else "")
         return texts
 
@@ -577,11 +574,10 @@ def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, object]:
 
 def _shown(raw: object, unit: str) -> str:
     """Return the raw value of a parameter as a text. unit: of plain numbers."""
-    if isinstance(raw, Mapping):
-        return _shown(raw.get("value"), str(raw.get("unit", unit)))
-    if isinstance(raw, (list, tuple)) and any(isinstance(item, Mapping) for item in raw):
-        return f"[{', '.join(_shown(item, unit) for item in raw)}]"
-    return f"{raw:g} {unit}".strip() if is_number(raw) else str(raw_of(raw))
+    value, unit = quantity_of(raw, unit)
+    if isinstance(value, (list, tuple)) and any(isinstance(item, Mapping) for item in value):
+        return f"[{', '.join(_shown(item, unit) for item in value)}]"
+    return f"{value:g} {unit}".strip() if is_number(value) else str(raw_of(value))
 
 
 def _given_input(value: object, type_: str) -> object:

@@ -21,7 +21,7 @@ from ..text.arrays import Array
 from ..text.csv_text import read_columns
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.quantity_text import quantity_in
+from ..text.quantity_text import quantity_in, quantity_of
 from .plan import Plan
 
 _BOOLS = {"true": 1, "false": 0}
@@ -191,12 +191,10 @@ def _values(raw: object, shape: tuple[int, ...], unit: str, type_: str, *, rows:
 
 def _plain(raw: object, unit: str, type_: str) -> tuple[object, float, float]:
     """Return given values without their unit, and the factor and the offset that convert them to SI."""
-    given = ""
-    if isinstance(raw, Mapping):
-        given = str(raw.get("unit", ""))
-        if given and not units.same_quantity(given, unit):
-            raise ValueError(f"[{given}] is given, but [{unit}] is needed: they are different quantities.")
-        unit, raw = given or unit, raw.get("value")
+    raw, given = quantity_of(raw)
+    if given and not units.same_quantity(given, unit):
+        raise ValueError(f"[{given}] is given, but [{unit}] is needed: they are different quantities.")
+    unit = given or unit
     # A bare number is in the unit that the input declares.
     factor, offset = (units.parse(unit).factor, units.parse(unit).offset) if unit else (1.0, 0.0)
     members = enumeration_of(type_)

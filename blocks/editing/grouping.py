@@ -24,6 +24,7 @@ from ..text.json_document import Document, place_of
 from ..text.json_edits import same
 from ..text.json_number import is_number
 from ..text.printable import quoted
+from ..text.quantity_text import quantity_of
 from . import tree
 from .edits import files_with
 from .references import Reference, Target, references
@@ -403,7 +404,7 @@ class _Lifted:
         for parameter, default in tree.table_at(self.diagram, ("parameters",)).items():
             if parameter not in parameters:
                 raw = given.get(parameter, default)
-                unit = default.get("unit") if isinstance(default, Mapping) else None
+                unit = quantity_of(default).unit
                 parameters[parameter] = {"value": raw, "unit": unit} if unit and is_number(raw) else raw
         stream = self.block.get("stream", name)
         lifted = dict(tree.table_at(self.diagram, ("blocks",)))

@@ -29,6 +29,7 @@ from ..text.json_document import place_of
 from ..text.json_edits import same
 from ..text.json_number import Number, is_number
 from ..text.printable import quoted
+from ..text.quantity_text import quantity_of
 from . import tree
 from .edits import Workspace, files_with
 from .grouping import group, ungroup
@@ -153,7 +154,7 @@ def _value_at(value: object, reference: Reference) -> Any:
 
 def _literal(spot: Spot, target: Target, raw: object, path: Steps) -> str:
     """A parameter's value in an expression."""
-    number, unit = (raw.get("value"), raw.get("unit", "")) if isinstance(raw, Mapping) else (raw, "")
+    number, unit = quantity_of(raw)
     if isinstance(number, str) and is_expression(number) and not unit:
         return f"({number[1:].strip()})"
     try:

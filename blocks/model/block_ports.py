@@ -9,6 +9,7 @@ from itertools import islice
 from ..contract.captured_values import Outside, outside
 from ..contract.resolution import loose
 from ..text.json_number import Number
+from ..text.quantity_text import quantity_of
 from .diagram_value import BASE, BlockEntry, DiagramValue
 from .flatten import interface_of
 from .hierarchy import Hierarchy, Resolver, spelling
@@ -87,8 +88,7 @@ def port_units(within: DiagramValue, name: str, entry: BlockEntry, resolver: Res
 def parameter_units(entry: BlockEntry, folder: str, resolver: Resolver) -> dict[str, str]:
     """The parameters that a block has, with the units in which bare numbers are meant, where there is one."""
     if entry.inner is not None:
-        raws = entry.inner.parameters.items()
-        return {key: str(raw.get("unit", "")) if isinstance(raw, Mapping) else "" for key, raw in raws}
+        return {key: quantity_of(raw).unit for key, raw in entry.inner.parameters.items()}
     try:
         cls = entry.cls or (resolver.fmu(entry, folder) if entry.fmu else resolver(entry.type))
     except KeyError:

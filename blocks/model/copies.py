@@ -24,6 +24,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from ..text.element_names import matching
 from ..text.errors import Fault, ModelError
 from ..text.printable import counted
+from ..text.quantity_text import quantity_of
 
 T = TypeVar("T")
 
@@ -271,13 +272,13 @@ def named(pattern: str, known: Collection[str], fleets: Collection[str]) -> list
 
 def depth_of(raw: object) -> int:
     """Return how many lists lie in each other in a raw value."""
-    raw = raw.get("value") if isinstance(raw, Mapping) else raw
+    raw = quantity_of(raw).value
     return 1 + max(map(depth_of, raw), default=0) if isinstance(raw, (list, tuple)) else 0
 
 
 def _is_deeper(raw: object, depth: int) -> bool:
     """Return whether more lists than `depth` lie in each other, looking no further than it must."""
-    raw = raw.get("value") if isinstance(raw, Mapping) else raw
+    raw = quantity_of(raw).value
     return isinstance(raw, (list, tuple)) and (depth == 0 or any(_is_deeper(item, depth - 1) for item in raw))
 
 

@@ -24,6 +24,7 @@ from ..text.errors import BlocksError, Fault, ModelError
 from ..text.json_document import AT_KEY
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
+from ..text.quantity_text import quantity_of
 from . import streams
 from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of, unnumbered, without_numbers
 from .diagram_grammar import LARGEST_SIZE
@@ -271,7 +272,7 @@ class Hierarchy:
         for key, raw in given.items():
             place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
             if key in known:
-                unit, depth, value = _unit_of(known[key]), depth_of(known[key]), None
+                unit, depth, value = quantity_of(known[key]).unit, depth_of(known[key]), None
                 own = raw
                 with contextlib.suppress(Absent):
                     own = self.own(outer, raw, depth, [inner.copy] if inner.copy else [], place, spot)
@@ -307,7 +308,7 @@ class Hierarchy:
 
     def origin(self, scope: DiagramScope, name: str, entry: object) -> Origin:
         """Find where the value of a diagram's parameter comes from. Raises Absent after a fault was reported."""
-        unit, depth, outer = _unit_of(entry), depth_of(entry), scope.origins.get(name)
+        unit, depth, outer = quantity_of(entry).unit, depth_of(entry), scope.origins.get(name)
         written = entry if outer is None else outer.written
         said, set_at = self.overridden(scope.paths(name), written)
         raw = said
@@ -593,11 +594,6 @@ def bound_faults(path: str, raw: object) -> list[Fault]:
     bound = next(expressions_in(raw), "")
     message = f"is computed from other parameters ({quoted(bound)}), so it cannot be set itself."
     return [Fault("E117", path, message, "Set the parameters that it is computed from.")] if bound else []
-
-
-def _unit_of(entry: object) -> str:
-    """Return the unit of a diagram's parameter."""
-    return entry.get("unit", "") if isinstance(entry, Mapping) else ""
 
 
 def _fault_of(unit: str) -> Fault | None:

@@ -18,7 +18,7 @@ from ..contract.block import Block
 from ..contract.sparse import edges_of
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import legible, quoted
-from ..text.quantity_text import read_quantity
+from ..text.quantity_text import quantity_of, read_quantity
 from .copies import named
 from .variants import taken
 
@@ -94,8 +94,7 @@ def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: o
     """A number with a unit that is given to a parameter: a quantity, unless the parameter is a text, or not there."""
     name, *inner = path
     if not inner:
-        known = diagram.parameters.get(name)
-        known = known.get("value") if isinstance(known, Mapping) else known
+        known = quantity_of(diagram.parameters.get(name)).value
         return raw if known is None or (isinstance(known, str) and known[:1] != "=") else _quantities(raw)
     entry = diagram.blocks.get(name.partition("[")[0])
     if entry is None:

@@ -24,7 +24,7 @@ from ..text import units
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.json_number import Number, is_number
 from ..text.printable import quoted
-from ..text.quantity_text import read_quantity
+from ..text.quantity_text import quantity_of, read_quantity
 from ..text.units import Declared, single
 from .diagram_grammar import EDGES, NUMBER, QUANTITY, SHAPE
 
@@ -168,10 +168,8 @@ def in_unit(raw: object, declared: str, place: str) -> Any:
     E114).
     """
     quantity = read_quantity(raw)
-    if not isinstance(quantity, Mapping) or not {*quantity} <= {"value", "unit", "doc"}:
-        return raw
-    value, unit = quantity.get("value"), str(quantity.get("unit", ""))
-    if not is_number(value):
+    value, unit = quantity_of(quantity)
+    if not isinstance(quantity, Mapping) or not {*quantity} <= {"value", "unit", "doc"} or not is_number(value):
         return raw
     try:
         if not declared:
@@ -240,8 +238,8 @@ def _text(raw: str, declared: Unit, known: Known) -> Value:
         raise Absent
     if value.unit:
         _check_unit(f"{expression.name} ", value.unit, declared)
-    is_number = not (value.value is None or isinstance(value.value, (str, bool)))
-    return replace(value, unit=units.si_text(unit)) if unit and is_number else value
+    has_unit = unit and not (value.value is None or isinstance(value.value, (str, bool)))
+    return replace(value, unit=units.si_text(unit)) if has_unit else value
 
 
 def _computed(expression: Expression, unit: str, known: Known) -> Value:

@@ -20,6 +20,7 @@ from ..model.copies import without_numbers
 from ..model.diagram_value import DiagramValue
 from ..model.values import expressions_in
 from ..text.json_number import Number
+from ..text.quantity_text import quantity_of
 from ..text.units import converted, same_quantity
 
 
@@ -76,17 +77,14 @@ class Fact:
 
     def text(self, raw: object) -> str:
         """A raw value as a person types it, in `unit`."""
-        is_other = isinstance(raw, Mapping) and raw.get("unit", self.unit) != self.unit
-        value = self.number(raw) if is_other else None
+        value = self.number(raw) if quantity_of(raw, self.unit).unit != self.unit else None
         return "" if raw is None else text_of(raw if value is None else value, self.unit)
 
     def number(self, raw: object) -> Any:
         """The number, or the list of them, of a raw value; None where it is an expression, a table, or does not fit."""
-        unit, value = self.unit, raw
-        if isinstance(raw, Mapping):
-            unit, value = str(raw.get("unit", unit)), raw.get("value")
-        is_number = value is not None and not any(expressions_in(value)) and same_quantity(unit, self.unit)
-        return _in_unit(value, unit, self.unit) if is_number else None
+        value, unit = quantity_of(raw, self.unit)
+        is_known = value is not None and not any(expressions_in(value)) and same_quantity(unit, self.unit)
+        return _in_unit(value, unit, self.unit) if is_known else None
 
     def span(self, value: object) -> tuple[float | None, float | None, bool]:
         """The range of a slider, and whether it is logarithmic: the declared one, or one around the value."""
@@ -151,8 +149,8 @@ def _fact(setting: Setting, raw: object, choices: tuple[str, ...]) -> Fact:
     unit = setting.display or setting.unit
     nominal = np.array(setting.values, bool if setting.type == "bool" else float).reshape(setting.shape).tolist()
     nominal = _in_unit(nominal, setting.unit, unit)
-    known = raw.get("value") if isinstance(raw, Mapping) and raw.get("unit", unit) == unit else raw
-    if isinstance(known, Number) and not setting.shape:
+    known, own = quantity_of(raw, unit)
+    if own == unit and isinstance(known, Number) and not setting.shape:
         nominal = float(known)  # without the rounding of SI
     is_bound = any(expressions_in(raw))
     why = f"it is computed: {text_of(raw)}" if is_bound else setting.why

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import json
 import re
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from .errors import ModelError
 from .json_number import Number, spelled
 
 DECIMAL = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _number = re.compile(DECIMAL).match
+
+
+class Quantity(NamedTuple):
+    """A raw value of a file, and the unit that it is in."""
+
+    value: Any
+    unit: str
+
+
+def quantity_of(raw: object, unit: str = "") -> Quantity:
+    """Return the value and the unit of {"value": 2, "unit": "mH"}, or of a bare value, which is in `unit`."""
+    return Quantity(raw.get("value"), str(raw.get("unit", unit))) if isinstance(raw, Mapping) else Quantity(raw, unit)
 
 
 def quantity_in(text: str) -> tuple[Number, str] | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +16,7 @@ from ...model.hierarchy import Resolver
 from ...model.project import project_of
 from ...model.values import Unit
 from ...text.errors import ModelError
+from ...text.quantity_text import quantity_of
 from .meaning import clean, legible_value
 
 LARGEST_FMU = 2**30  # bytes; of a larger one the path alone is compared
@@ -75,8 +75,7 @@ class BlockFacts:
         value, name, entry = place
         raw = entry.parameters.get(parameter)
         if entry.inner is not None:
-            raw = entry.inner.parameters.get(parameter)
-            return str(raw.get("unit", "")) if isinstance(raw, Mapping) else ""
+            return quantity_of(entry.inner.parameters.get(parameter)).unit
         declared = self._declared(entry, parameter)
         unit = getattr(declared, "unit", "")
         if declared is None or isinstance(unit, str) or self.resolver is None:
