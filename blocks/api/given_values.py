@@ -12,7 +12,7 @@ from ..contract.enumerations import resting
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.settings import seconds
-from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.errors import Fault, UsageError, did_you_mean, sentence_of
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 
@@ -22,8 +22,7 @@ def time_of(place: str, raw: object) -> Fraction:
     try:
         return seconds(read_quantity(raw))
     except ValueError as error:
-        message = error.faults[0].message if isinstance(error, ModelError) else str(error)
-        raise UsageError(Fault("E501", place, message)) from None
+        raise UsageError(Fault("E501", place, sentence_of(error))) from None
 
 
 def at_rest(value: DiagramValue, flat: Flat) -> dict[str, object]:

@@ -39,7 +39,7 @@ from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.element_names import indexed
-from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
+from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean, sentence_of
 from ..text.json_number import is_number
 from ..text.printable import legible, quoted
 from ..text.quantity_text import quantity_of, read_quantity
@@ -512,8 +512,7 @@ class Run:
                 try:
                     self._simulation.set_input(index, constant(_given_input(value, type_), shape, unit, type_))
                 except ValueError as error:
-                    message = error.faults[0].message if isinstance(error, (ModelError, UsageError)) else str(error)
-                    raise UsageError(Fault("E502", name, message)) from None
+                    raise UsageError(Fault("E502", name, sentence_of(error))) from None
                 break
         else:
             self._prepared = self._prepared.changed(name, value)

@@ -20,7 +20,7 @@ from ..text import units
 from ..text.arrays import Array
 from ..text.csv_text import read_columns
 from ..text.element_names import element_names
-from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean, sentence_of
 from ..text.quantity_text import quantity_in, quantity_of
 from .plan import Plan
 
@@ -124,8 +124,7 @@ def read_inputs(plan: Plan, raw: Mapping[str, object], *, interpolation: str = "
             given = raw[name] if name in raw else _in_si(default or (), shape, unit)
             tracks.append(_track(given, shape, unit, type_, interpolation))
         except (ValueError, TypeError) as error:
-            message = error.faults[0].message if isinstance(error, (ModelError, UsageError)) else str(error)
-            faults.append(Fault("E502", name, message))
+            faults.append(Fault("E502", name, sentence_of(error)))
     if faults:
         raise UsageError(*faults)
     return InputTable(tuple(tracks))

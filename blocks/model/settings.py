@@ -12,7 +12,7 @@ import numpy as np
 
 from ..contract.expressions import exact_time
 from ..text import units
-from ..text.errors import ModelError, did_you_mean
+from ..text.errors import did_you_mean, sentence_of
 from ..text.grammar import Choice, Object, Scalar
 from ..text.json_number import Number, is_number
 from ..text.printable import quoted
@@ -206,7 +206,7 @@ class _RunSettings(_Settings):
             except ValueError as error:
                 cure = 'A time is a number of seconds, or {"value": 5, "unit": "ms"}.'
                 cure = cure if isinstance(self.given[key], str) else ""
-                self.fault(key, error.faults[0].message if isinstance(error, ModelError) else str(error), cure)
+                self.fault(key, sentence_of(error), cure)
                 continue
             if key in ("step", "every") and time <= 0:
                 self.fault(key, f"must be above 0 s, not {float(time)}.")
@@ -241,7 +241,7 @@ class _RunSettings(_Settings):
             try:
                 times.add(seconds(stop))
             except ValueError as error:
-                self.fault("stops", error.faults[0].message if isinstance(error, ModelError) else str(error))
+                self.fault("stops", sentence_of(error))
         self.made["stops"] = tuple(sorted(times))
 
     def method(self, *, step_of_file: bool) -> None:
@@ -320,8 +320,7 @@ class _MasterSettings(_Settings):
         try:
             step_size = seconds(raw)
         except ValueError as error:
-            message = error.faults[0].message if isinstance(error, ModelError) else str(error)
-            self.fault(key, whose + message)
+            self.fault(key, whose + sentence_of(error))
             return None
         start, stop = self.run.get("start", Fraction(0)), self.run.get("stop")
         if step_size <= 0:

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..compile.inputs import constant
 from ..studies.gains_file import Value, edit_of
-from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
+from ..text.errors import BlocksError, Fault, UsageError, did_you_mean, sentence_of
 from ..text.printable import legible, quoted
 from ..text.quantity_text import value_in
 from .facts import Fact, text_of
@@ -194,8 +194,7 @@ def _check(session: Session, fact: Fact, raw: object) -> None:
     try:
         constant(raw, shape, unit, type_)
     except ValueError as error:
-        message = error.faults[0].message if isinstance(error, BlocksError) else str(error)
-        raise UsageError(Fault("E502", fact.name, message)) from None
+        raise UsageError(Fault("E502", fact.name, sentence_of(error))) from None
 
 
 def _written(fact: Fact, raw: object) -> Value:

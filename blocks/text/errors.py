@@ -126,6 +126,11 @@ class AnalysisError(BlocksError, ValueError):
     """A linear model, a margin or a response that does not exist (E7xx)."""
 
 
+def sentence_of(error: Exception) -> str:
+    """Return what an error says, without the code and the place of its first fault."""
+    return error.faults[0].message if isinstance(error, BlocksError) else str(error)
+
+
 def check_mappings(**tables: object) -> None:
     """Refuse arguments that are neither mappings nor None. Raises UsageError (E501)."""
     for word, table in tables.items():
