@@ -354,6 +354,16 @@ def test_an_input_can_be_renamed_and_run_inputs_and_measures_follow() -> None:
     assert told(made, renamed(made, r="wanted")) == ["inputs > r -> wanted: renamed"]
 
 
+@pytest.mark.parametrize(("version", "difference"), [(3, ["measures ~ e: against =30 -> 30"]), (2, [])])
+def test_a_plain_number_of_a_measure_is_not_the_number_in_si(version: int, difference: list[str]) -> None:
+    sections = {"blocks": {"n": {"type": "Constant", "parameters": {"unit": "rpm"}}}}
+    si, plain = (
+        document(**sections, measures={"e": {"type": "peak", "of": "n.y", "against": against}})
+        for against in ("=30", 30)
+    )
+    assert told(si, plain | {"version": version}) == difference
+
+
 def test_a_renamed_block_may_have_another_neighbor() -> None:
     other = renamed(loop(), control="pid")
     other["blocks"]["filter"] = {"type": "FirstOrder"}

@@ -14,6 +14,7 @@ from ...model.hierarchy import Resolver
 from ...model.values import Unit
 from ...text.errors import Fault, ModelError
 from ...text.grammar import Found, Kind, ListOf, Object, Table
+from ...text.json_number import is_number
 from .block_facts import BlockFacts, Place, kind_of
 from .changes import GROUPS, Change
 from .meaning import clean, digest_of, legible_value, parts_that_differ, same, same_unit
@@ -156,7 +157,9 @@ class Level:
                 yield from self.fields(group, entry, x, y, f"{what}.")
                 continue
             now = self.signal_now(x) if Found((), entry.meant(x), x).refers == "signal" else x
-            if not all(given) or not (same_unit(now, y) if entry is UNIT.kind else same(now, y, *units)):
+            # A plain number beside `against` is in the unit of a signal, which is not known here; all else is not.
+            is_other = key == "against" and is_number(x) != is_number(y)
+            if not all(given) or is_other or not (same_unit(now, y) if entry is UNIT.kind else same(now, y, *units)):
                 yield changed(group, what, x, y, units, given=given, is_whole=True)
         yield from self.texts(group, a, b, within)
 
