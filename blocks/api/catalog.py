@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from typing import Any, NamedTuple
 
 from ..contract.block import Block
 from ..contract.interface import Interface
 from ..model.block_types import Library, library_types
+from ..model.simulink import Word, words
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
 
@@ -45,21 +43,6 @@ class Sheet:
     inputs: tuple[PortRow, ...]
     outputs: tuple[PortRow, ...]
     parameters: tuple[ParameterRow, ...]
-
-
-class Word(NamedTuple):
-    """A word of Simulink. here: what stands for it. blocks: types that do. see: a place of the documentation."""
-
-    name: str
-    here: str
-    blocks: tuple[str, ...]
-    see: str
-
-    @property
-    def meant(self) -> tuple[str, ...]:
-        """The type of this name alone, where there is one; else all."""
-        same = [name for name in self.blocks if _plain(name) == _plain(self.name)]
-        return tuple(same) or self.blocks
 
 
 class Found(NamedTuple):
@@ -137,22 +120,6 @@ def _texts(cls: type[Block], found: Found) -> Iterator[str]:
 def _says(asked: list[str], text: str) -> bool:
     """Whether each word that is asked for begins one of the text."""
     return all(re.search(rf"\b{re.escape(word)}", text.lower()) for word in asked)
-
-
-@cache
-def words() -> Mapping[str, Word]:
-    """Return the entries for words of Simulink."""
-    text = resources.files(__package__).joinpath("simulink_words.json").read_text(encoding="utf-8")
-    return {name: Word(name, raw["here"], tuple(raw["blocks"]), raw["see"]) for name, raw in json.loads(text).items()}
-
-
-def word_of(name: str) -> Word | None:
-    """Return the entry for a word of Simulink in any case and spacing, or None if there is none."""
-    return next((word for word in words().values() if _plain(word.name) == _plain(name)), None)
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[\W_]", "", name.lower())
 
 
 def measures() -> Mapping[str, str]:

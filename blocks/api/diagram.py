@@ -282,13 +282,31 @@ class Diagram:
         return list(self._draft.section("blocks"))
 
     def wire(self, sink: PortName | str, source: PortName | str) -> None:
-        """Connect a source to a sink: the sink comes first, as in the file. Raises ModelError (E109, E112)."""
+        """Connect a source to a sink: the sink comes first, as in the file.
+
+        If a vector reaches a block whose input takes one value, the block gets `copies`, one for each element, and so
+        do the blocks that read it. Raises ModelError (E109, E112).
+        """
         text = sink_text(sink, source, self)
         wires = self._draft.section("wires")
         if text in wires:
             message = f"is already wired to {legible(wires[text])}."
-            raise ModelError(Fault("E109", legible(text), message, "Use Sum to add signals."))
-        self._draft.put("wires", {text: source_text(source, self)})
+            cure = f'Use Sum to add signals, or remove the wire first: unwire("{legible(text)}").'
+            raise ModelError(Fault("E109", legible(text), message, cure))
+        self._draft.wire(text, source_text(source, self))
+
+    def unwire(self, sink: PortName | str) -> None:
+        """Remove the wire of an input; copies that a wire gave to the block stay. Raises UsageError (E501)."""
+        self._draft.unwire(text_of(sink, self))
+
+    def remove(self, name: str) -> None:
+        """Remove a block, an input, a parameter, an output or a measure, and everything that refers to it.
+
+        Wires, outputs, entries of the log, measures and positions that lose their meaning go too; expressions keep the
+        value of a parameter. Raises UsageError (E501) if there is no such name, or if something that uses it cannot be
+        removed alone.
+        """
+        self._draft.remove(name)
 
     def swap(
         self,

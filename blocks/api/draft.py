@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from ..contract.block import Block
+from ..editing.applying import text_without
 from ..model import document as documents
 from ..model.block_ports import Ports, Probe, port_units
 from ..model.diagram_value import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.raw_values import given_values, raw_of
 from ..model.resolver import resolver_of
-from ..text.errors import Fault, ModelError
+from ..model.spreading import spread
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.printable import legible
 from .entries import block_entry, checked_entry
 
 
@@ -59,6 +62,32 @@ class Draft:
             self._open[section].update(entries)
         if section == "parameters":
             self._probe = None
+
+    def wire(self, sink: str, source: str) -> None:
+        """Add a wire, and give copies to the scalar blocks that a vector reaches by it."""
+        within = DiagramValue(
+            self.name, parameters=self.section("parameters"), inputs=self.section("inputs"),
+            blocks=self.section("blocks"), wires=self.section("wires"), folder=self.folder,
+        )  # fmt: skip
+        self.put("blocks", spread(within, sink, source, self.resolver))
+        self.put("wires", {sink: source})
+
+    def unwire(self, sink: str) -> None:
+        """Remove a wire. Raises UsageError (E501) if there is none."""
+        wires = self.section("wires")
+        if sink not in wires:
+            cure = did_you_mean(sink, wires)
+            raise UsageError(Fault("E501", legible(sink), "is not wired.", cure))
+        self.value = replace(self.value, wires={key: text for key, text in wires.items() if key != sink})
+
+    def remove(self, name: str) -> None:
+        """Remove what has a name, and everything that refers to it. Raises UsageError (E501)."""
+        before = self.value
+        text = text_without(documents.dumps(before), name, before.folder, tuple(self.types.values()))
+        after = documents.loads(text, folder=before.folder)
+        # Blocks that stay as they were keep their classes: those of FMUs hold what was given beside the path.
+        kept = {key: before.blocks[key] for key, entry in after.blocks.items() if before.blocks[key] == entry}
+        self.value = replace(after, blocks={**after.blocks, **kept})
 
     def section(self, section: str) -> Mapping[str, Any]:
         entries: Mapping[str, object] = self._open[section] if section in self._open else getattr(self._frozen, section)

@@ -152,7 +152,7 @@ class _Resolving:
                 self.values[name] = Value(np.broadcast_to(value.value, shape), value.exact, value.unit)
             elif value.value.shape != shape:
                 message = f"has the shape {_shape(value.value.shape)}, but {_shape(shape)} is needed."
-                self.fault("E110", name, message)
+                self.fault("E110", name, message, "" if shape else _cure_of_list(value.value.shape))
 
     def check_ranges(self) -> None:
         settled = _settled(self.declaration)
@@ -698,6 +698,13 @@ def _nominal(
         raise ValueError(f"{_shown(nominals)} must be above 0 and finite")
     sizes: list[float] = np.ravel(np.broadcast_to(nominals, shape)).tolist()
     return sizes
+
+
+def _cure_of_list(shape: tuple[int, ...]) -> str:
+    """Return the cure where an array is given for one number."""
+    if math.prod(shape) == 1:
+        return "Give the number without brackets."
+    return f'Give one number, or give the block "copies": {shape[0]}, one for each.' if len(shape) == 1 else ""
 
 
 def _shape(shape: tuple[int, ...]) -> str:

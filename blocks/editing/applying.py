@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..model.block_ports import MOST_LISTED
 from ..model.block_types import Library
 from ..model.document_reader import DocumentReader, Loading
 from ..model.project import Project, read_inside
@@ -15,9 +16,11 @@ from ..text import json_text, json_writer
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import OWN
 from ..text.json_document import Document, place_of
+from ..text.printable import legible
 from .edits import Edit, Workspace
 from .operations import OPERATIONS
-from .spots import spot_of
+from .references import SECTIONS, Documents
+from .spots import Spot, spot_of
 
 
 def edit_file(
@@ -56,6 +59,28 @@ def edit_file(
             raise type(error)(*(replace(fault, message=where + fault.message) for fault in error.faults)) from error
     edit = workspace.edit()
     return replace(edit, faults=workspace.new_faults(first)) if check else edit
+
+
+def text_without(text: str, name: str, folder: str, library: Library) -> str:
+    """Return the text of a diagram without an entry, and without everything that refers to it; no file is changed.
+
+    name: of a block, an input, a parameter, an output or a measure. folder: where relative paths begin. Raises
+    UsageError (E501).
+    """
+    project = Project(Path(folder))
+    workspace = Workspace(project, Documents(project), {}, library=library, is_alone=True)
+    first = workspace.open(Path(folder, ".unsaved diagram"), text=text, is_first=True)
+    value = workspace.value(first)
+    sections = [section for section in SECTIONS.values() if name in value.get(section, {})]
+    if not sections:
+        names = [key for section in SECTIONS.values() for key in value.get(section, {})]
+        cure = did_you_mean(name, names) or f"Names: {', '.join(names[:MOST_LISTED]) or 'none'}."
+        raise UsageError(Fault("E501", legible(name), "there is nothing of this name to remove.", cure))
+    try:
+        OPERATIONS["remove"].apply(Spot(workspace, first), {"remove": f"{sections[0]}.{name}"})
+    except BlocksError as error:
+        raise type(error)(*(replace(fault, file="", line=0, column=0) for fault in error.faults)) from error
+    return workspace.document(first).text
 
 
 def operations_of(path: str | Path, data: bytes | None = None) -> Document:

@@ -107,6 +107,7 @@ class Workspace:
     changes: list[Change] = field(default_factory=list)
     library: Library = ()
     is_whole: bool = False  # other files of the project are edited as well
+    is_alone: bool = False  # no other file of the project is looked at
     elsewhere: list[Change] = field(default_factory=list)
     note: str = ""
     _values: dict[str, object] = field(default_factory=dict)  # not written yet

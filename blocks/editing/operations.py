@@ -17,13 +17,14 @@ from typing import Any
 
 from ..model.block_types import library_types
 from ..model.diagram_grammar import BODY, FILLED, NAMES, NUMBER, VARIANT
-from ..model.diagram_value import FORMAT, VERSION, check_name
+from ..model.diagram_value import FORMAT, VERSION, DiagramValue, check_name
 from ..model.document import dumps_document, entries, entry_document, loads
 from ..model.flatten import Flat
 from ..model.resolver import resolver_of
+from ..model.spreading import spread
 from ..model.values import is_expression
 from ..text import grammar, json_text, units
-from ..text.errors import Fault, ModelError, UsageError
+from ..text.errors import BlocksError, Fault, ModelError, UsageError
 from ..text.grammar import ANY, AnyOf, Field, ListOf, Object, Scalar, Steps, Table, Text, in_words
 from ..text.json_document import place_of
 from ..text.json_edits import same
@@ -84,7 +85,8 @@ def _remove(spot: Spot, entry: Mapping[str, object]) -> None:
     while True:
         count = sum(map(len, gone.values()))
         targets = {target for file, places in gone.items() for target in _defined(workspace, file, places)}
-        for document in files_with({target.name for target in targets}, spot.file, workspace.documents):
+        names = {target.name for target in targets}
+        for document in () if workspace.is_alone else files_with(names, spot.file, workspace.documents):
             if isinstance(document, str):
                 workspace.note = document
             else:
@@ -253,7 +255,30 @@ def _wire(spot: Spot, entry: Mapping[str, Any]) -> None:
     if sink in wires:
         cure = f'Unwire it first: {{"unwire": {quoted(sink)}}}.'
         raise ModelError(spot.fault("E109", sink, f"is already driven by {quoted(str(wires[sink]))}.", cure))
-    spot.put(tree.replaced(spot.value, (*spot.scope, "wires", sink), source))
+    new = tree.replaced(spot.value, (*spot.scope, "wires", sink), source)
+    for name, copies in _copies_for(spot, sink, source).items():
+        new = tree.replaced(new, (*spot.scope, "blocks", name, "copies"), copies)
+    spot.put(new)
+
+
+def _copies_for(spot: Spot, sink: str, source: str) -> dict[str, object]:
+    """Return the copies of blocks that a wire from a vector to scalar ports needs, as `Diagram.wire` gives them."""
+    try:
+        given = spread(_diagram_of(spot), sink, source, resolver_of(library_types(spot.workspace.library)))
+    except BlocksError:  # the file has other faults
+        return {}
+    return {name: entry.copies for name, entry in given.items()}
+
+
+def _diagram_of(spot: Spot) -> DiagramValue:
+    """Return the diagram that the operation is about. Raises ModelError with the faults of the file."""
+    folder = os.path.dirname(os.path.abspath(spot.file))
+    value = loads(spot.workspace.document(spot.file).text, file=spot.name, folder=folder)
+    for block in blocks_of(spot.scope):
+        inner = value.blocks[block].inner
+        assert inner is not None
+        value = inner
+    return value
 
 
 def _unwire(spot: Spot, entry: Mapping[str, Any]) -> None:
@@ -279,14 +304,9 @@ def _swap(spot: Spot, entry: Mapping[str, Any]) -> None:
     """Another block as one more variant, which is chosen, as `Diagram.swap` does it."""
     name, workspace = entry["swap"], spot.workspace
     spot.whole()
-    folder = os.path.dirname(os.path.abspath(spot.file))
-    value = loads(workspace.document(spot.file).text, file=spot.name, folder=folder)
-    for block in blocks_of(spot.scope):
-        inner = value.blocks[block].inner
-        assert inner is not None
-        value = inner
+    value = _diagram_of(spot)
     existing(value, name)
-    other = entries(folder=folder, blocks={name: entry["for"]}).blocks[name]
+    other = entries(folder=os.path.dirname(os.path.abspath(spot.file)), blocks={name: entry["for"]}).blocks[name]
     resolver = resolver_of(library_types(workspace.library))
     try:
         changed, _ = swapped(value, name, other, resolver, variant=entry.get("as", ""), ports=entry.get("ports"))

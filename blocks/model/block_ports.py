@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import islice
 
 from ..contract.captured_values import Outside, outside
+from ..contract.interface import Interface
 from ..contract.resolution import loose
 from ..text.json_number import Number
 from ..text.quantity_text import quantity_of
@@ -80,9 +81,14 @@ def port_units(within: DiagramValue, name: str, entry: BlockEntry, resolver: Res
         inputs = {key: str(given.get("unit", "")) for key, given in inner.inputs.items()}
         inputs |= dict.fromkeys(entry.control_inputs, "")
         return inputs, dict.fromkeys(inner.outputs, "")
-    probe = DiagramValue(within.name, parameters=within.parameters, blocks={name: entry}, folder=within.folder)
-    interface = interface_of(probe, name, resolver)
+    interface = interface_alone(within, name, entry, resolver)
     return interface.input_units, interface.output_units
+
+
+def interface_alone(within: DiagramValue, name: str, entry: BlockEntry, resolver: Resolver) -> Interface:
+    """Return the interface of a block, as if it were the only one in a diagram. Raises ModelError."""
+    probe = DiagramValue(within.name, parameters=within.parameters, blocks={name: entry}, folder=within.folder)
+    return interface_of(probe, name, resolver)
 
 
 def parameter_units(entry: BlockEntry, folder: str, resolver: Resolver) -> dict[str, str]:

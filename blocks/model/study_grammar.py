@@ -357,6 +357,11 @@ def _objects(kind: Kind, least: int = 0, *, is_open: bool = True) -> ListOf:
     return ListOf(kind, least, what="a list of objects", is_even=True, is_open=is_open)
 
 
+def _has_limits(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    _check_span(value.get("ylim"), (*path, "ylim"), told)
+    return ()
+
+
 PANEL = Object(
     Field("lines", _objects(LINE, 1), "Its curves.", required=True),
     Field("ylabel", TEXT, "The label of the vertical axis, with the unit in [ ]."),
@@ -365,6 +370,8 @@ PANEL = Object(
     Field("inset", _numbers(4), "A part that is also shown enlarged: [x0, x1, y0, y1]."),
     Field("log", FLAG, "Whether the axis is logarithmic; of spectra it is."),
     Field("height", Scalar(above=0), "Beside the others.", 1),
+    Field("ylim", _numbers(2), "The least and the largest value of the vertical axis: [from, to]."),
+    rules=[Rule(_has_limits)],
     name="panel",
 )
 
@@ -375,17 +382,30 @@ def _named(value: Mapping[str, object], path: Steps, told: Told) -> Collection[s
     return ("name",)
 
 
+def _check_span(span: object, path: Steps, told: Told) -> None:
+    if isinstance(span, list) and len(span) == 2 and _numbers(2).takes(span) and span[0] >= span[1]:
+        told.fault("E004", path, f"{span} does not end after its start. Write [from, to].")
+
+
 def _rising(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
     for k, window in enumerate(value.get("windows", ())):
-        if isinstance(window, list) and len(window) == 2 and _numbers(2).takes(window) and window[0] >= window[1]:
-            told.fault("E004", (*path, "windows", k), f"{window} does not end after its start. Write [from, to].")
+        _check_span(window, (*path, "windows", k), told)
     return ()
+
+
+_FORMAT = Field("format", Choice(("png", "svg", "pdf")), "The format of its file, beside the report.", "png")
 
 
 FIGURE = Object(
     Field("name", NAMES, "The name of its file.", required=True),
     Field("title", TEXT, "Its title."),
     DOC,
+    _FORMAT,
+    Field(
+        "size",
+        ListOf(Scalar(above=0, high=100), 2, 2, what="a size [width, height]", is_even=True),
+        "Its width and its height, in inches.",
+    ),
     Field("kind", Choice(("time", "spectrum")), "Signals over time, or their amplitude spectra.", "time"),
     Field("panels", _objects(PANEL, 1), "Axes, from the top.", required=True),
     Field("from", NUMBER, "Start of the window, in s."),
@@ -404,6 +424,7 @@ SWEEP_FIGURE = Object(
     Field("name", NAMES, "The name of its file.", required=True),
     Field("title", TEXT, "Its title."),
     DOC,
+    _FORMAT,
     Field("sweep", _SWEEP_NAME, "The name of a sweep of this study.", required=True),
     Field("scenario", Text(refers="scenario"), "One of its scenarios; left out: all."),
     Field("of", _SOME, "Signals that it keeps, measures, margins or varied parameters; left out: all signals."),

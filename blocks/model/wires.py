@@ -681,10 +681,15 @@ class Wires:
             of = None if source is None or feed.element is not None else source.copied
             message = f"{_extent(shape)}{_for_each(copied)}, but {feed.text} {_extent(strand.shape)}{_for_each(of)}."
             cure = ""
-            if shape == ():
-                cure = f'Wire one {"element" if of is None else "copy"}, as in "{feed.text}[0]".'
+            if strand.shape == (1,) and shape == ():
+                cure = f'Wire its element: "{feed.text}[0]".'
+            elif shape == ():
+                cure = f'Wire one {"element" if of is None else "copy"}, as in "{feed.text}[0]"'
+                cure += f', or give the block "copies": {strand.shape[0]}.' if len(strand.shape) == 1 else "."
             elif copied is not None:
                 cure = "Wire one value for each copy, or one value for all copies."
+            elif strand.shape == () and shape == (1,):
+                cure = f'Wire its element: "{at}[0]".'
             elif strand.shape == ():
                 cure = f'Wire each element, as in "{at}[0]", or use a Mux.'
             self.tell(scope, "E110", at, message, cure, spot)

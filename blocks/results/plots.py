@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
 from ..text.arrays import Array
 from ..text.atomic_write import known_ending, write_atomically
-from ..text.errors import Fault, UsageError
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,6 +91,21 @@ class Panel:
     height: float = 1.0
 
 
+class Look(TypedDict, total=False):
+    """How a figure with panels looks: whatever is given replaces what follows from the signals.
+
+    size: (width, height) in inches. xlim: (from, to). ylim, ylabel: of the panel, or a list with one for each; None
+    leaves a panel as it is.
+    """
+
+    size: tuple[float, float]
+    title: str
+    xlabel: str
+    ylabel: str | Sequence[str | None]
+    xlim: tuple[float, float]
+    ylim: tuple[float, float] | Sequence[tuple[float, float] | None]
+
+
 @contextlib.contextmanager
 def defaults(own: Mapping[str, object] | None = None) -> Iterator[None]:
     """matplotlib with its default settings and `own` ones; the earlier settings are restored afterwards.
@@ -130,13 +147,29 @@ def new_figure(width: float, height: float) -> Figure:
 
 @defaults()
 def panels(
-    parts: Sequence[Panel], *, xlabel: str, title: str = "", windows: Sequence[tuple[float, float]] = ()
+    parts: Sequence[Panel],
+    *,
+    xlabel: str,
+    title: str = "",
+    windows: Sequence[tuple[float, float]] = (),
+    look: Look | None = None,
 ) -> Figure:
-    """A figure with panels below each other on one x axis. windows: its stretches, shown beside each other."""
+    """Return a figure with panels below each other on one x axis.
+
+    windows: stretches of the x axis, shown beside each other. Raises UsageError (E501) for a look that does not fit.
+    """
+    look = look or {}
+    _check_look(look, len(parts))
+    xlabel, title = look.get("xlabel", xlabel), look.get("title", title)
+    if "ylabel" in look:
+        labels = zip(parts, _for_each(look["ylabel"], str, len(parts)), strict=True)
+        parts = [part if label is None else replace(part, ylabel=label) for part, label in labels]
+    if "xlim" in look:
+        windows = [look["xlim"]]
     heights = [part.height for part in parts]
     legends = [_legend_of(part) for part in parts]
     lines = sum(-(-len(part.lines) // columns) for part, columns in zip(parts, legends, strict=True) if columns)
-    figure = new_figure(WIDTH, _HEIGHT * sum(heights) + 0.6 + 0.16 * lines)
+    figure = new_figure(*look.get("size", (WIDTH, _HEIGHT * sum(heights) + 0.6 + 0.16 * lines)))
     figure.parts, figure.along = tuple(parts), xlabel
     grid = {"height_ratios": heights, "width_ratios": [end - begin for begin, end in windows] or [1]}
     across = max(1, len(windows))
@@ -148,12 +181,54 @@ def panels(
         row[0].set_ylabel(plain(part.ylabel))
         if columns:
             _legend(part, row[0], columns)
+    if "ylim" in look:
+        for limits, row in zip(_for_each(look["ylim"], tuple, len(parts)), axes, strict=True):
+            row[0].set_ylim(limits)
     figure.supxlabel(plain(xlabel), fontsize=10, color=INK)
     if title:
         figure.suptitle(plain(title), fontsize=10, x=0.01, ha="left", color=INK)
     for axis in np.ravel(axes):
         ink(axis)
     return figure
+
+
+def _for_each(given: Any, kind: type, count: int) -> list[Any]:
+    """Return one value for each panel."""
+    is_list = isinstance(given, list) or (isinstance(given, tuple) and not (kind is tuple and _is_pair(given)))
+    return list(given) if is_list else [given] * count
+
+
+def _is_pair(given: object) -> bool:
+    """Return whether it is two finite numbers."""
+    if not isinstance(given, (tuple, list, np.ndarray)) or len(given) != 2:
+        return False
+    return all(isinstance(x, (int, float, np.number)) and math.isfinite(x) for x in given)
+
+
+def _check_look(look: Look, count: int) -> None:
+    """Refuse a look that no figure with so many panels can have (E501)."""
+
+    def refuse(key: str, needed: str) -> None:
+        what = " ".join(repr(look.get(key)).split())[:100]
+        raise UsageError(Fault("E501", f"plot({key}=)", f"{what} is not {needed}."))
+
+    for key in look.keys() - Look.__annotations__.keys():
+        cure = did_you_mean(key, Look.__annotations__) or f"Options: {', '.join(Look.__annotations__)}."
+        raise UsageError(Fault("E501", f"plot({key}=)", "there is no such option.", cure))
+    if "size" in look and not (_is_pair(look["size"]) and min(look["size"]) > 0.1 and max(look["size"]) <= 100):
+        refuse("size", "a width and a height in inches, such as (6, 4)")
+    if "xlim" in look and not (_is_pair(look["xlim"]) and look["xlim"][0] < look["xlim"][1]):
+        refuse("xlim", "the start and the end of the axis, such as (0, 5)")
+    for key in ("title", "xlabel"):
+        if not isinstance(look.get(key, ""), str):
+            refuse(key, "a text")
+    for key, kind in (("ylabel", str), ("ylim", tuple)):
+        items = _for_each(look.get(key), kind, count)
+        fits = [item is None or (_is_pair(item) and item[0] < item[1] if kind is tuple else isinstance(item, str))
+                for item in items]  # fmt: skip
+        if len(items) != count or not all(fits):
+            one = "the least and the largest value, such as (-1, 1)" if kind is tuple else "a text"
+            refuse(key, f"{one}, or a list with one for each of {counted(count, 'panel')}")
 
 
 def _within(part: Panel, window: tuple[float, float]) -> Panel:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO, Unpack, overload
 
 import numpy as np
 
@@ -22,7 +23,10 @@ from . import files
 from .arrow import Stored
 from .provenance import Origin
 from .step_info import step_info
-from .table import FileTable, optional
+from .table import FileTable, optional, unique
+
+if TYPE_CHECKING:
+    from .plots import Look
 
 BARS = "▁▂▃▄▅▆▇█"
 SPARKS = 10
@@ -373,6 +377,24 @@ class Results(Shown):
         frame.attrs.update(self._table().described())
         return frame
 
+    def to_xarray(self) -> Any:
+        """Return an xarray Dataset: a variable for each signal over the dimension time, with more of vectors.
+
+        A variable has its unit in `attrs["units"]`; `attrs` of the dataset hold "diagram" and the origin. A jump is two
+        rows of one time. Raises UsageError (E504) if xarray is not installed.
+        """
+        xarray = optional("xarray", "to_xarray")
+        names = unique(["time", *self.names], longest=1000)[1:]
+        variables = {}
+        for name, signal in zip(names, map(self.__getitem__, self.names), strict=True):
+            axes = [f"{name}_{axis}" for axis in range(1, signal.ndim)]
+            attrs = {"units": signal.unit} if signal.unit else {}
+            variables[name] = (("time", *axes), np.array(signal), attrs)
+        # A netCDF file holds texts and numbers only.
+        told = {key: value if isinstance(value, (str, int, float)) else json.dumps(value, default=str)
+                for key, value in self._table().metadata.items()}  # fmt: skip
+        return xarray.Dataset(variables, {"time": ("time", self.t.copy(), {"units": "s"})}, attrs=told)
+
     def _table(self, *, is_lazy: bool = False) -> FileTable:
         """is_lazy: rows that lie in a file stay there."""
         metadata: dict[str, object] = {"diagram": self.diagram, "engine": self.statistics.engine}
@@ -384,12 +406,22 @@ class Results(Shown):
             return FileTable(np.empty(0), self.stored, self.columns, metadata)
         return FileTable(self.t, self.values, self.columns, metadata)
 
-    def plot(self, *names: str, most: int = 4, label: str = "", beside: Mapping[str, Results] | None = None) -> Any:
-        """A matplotlib figure of signals, a panel for each unit; without names the first four. See `results.plots`.
+    def plot(
+        self,
+        *names: str,
+        most: int = 4,
+        label: str = "",
+        beside: Mapping[str, Results] | None = None,
+        **look: Unpack[Look],
+    ) -> Any:
+        """Return a matplotlib figure of signals, a panel for each unit; without names, of the first four.
 
-        beside: other results by what the legend calls them: a panel for each signal, with its curve of each, in the
-        unit that it has here. label: what the legend calls these; the name of the diagram, if it is not said. Raises
-        UsageError (E501; E505 for units of different quantities), KeyError.
+            results.plot("motor.omega", size=(6, 3), xlim=(0, 2), ylabel="speed [rad/s]").savefig("speed.pdf")
+
+        beside: other results by their labels in the legend: a panel for each signal, with a curve of each result, in
+        the unit that the signal has here. label: the label of these results; by default the name of the diagram.
+        size, title, xlabel, ylabel, xlim, ylim: see `results.plots.Look`. Raises UsageError (E501; E505 for units of
+        different quantities), KeyError.
         """
         from . import plots
 
@@ -397,7 +429,7 @@ class Results(Shown):
             if (label or self.diagram) in beside:
                 message = f"two results have the label {quoted(label or self.diagram)}."
                 raise UsageError(Fault("E501", "plot", message, 'Set label="..." for one of them.'))
-            return self._overlaid({label or self.diagram: self, **beside}, names, most)
+            return self._overlaid({label or self.diagram: self, **beside}, names, most, look)
         columns = self._elements()
         picked = self._picked(names) if names else list(columns)[:most]
         if len(picked) > most:
@@ -417,7 +449,7 @@ class Results(Shown):
             single = lines[0].label if len(lines) == 1 else ""
             unit = "" if key.startswith("\0") else f"[{key}]"
             parts.append(plots.Panel(tuple(lines), f"{single} {unit}".strip() or "value"))
-        return plots.panels(parts, xlabel="time [s]", title=self.diagram)
+        return plots.panels(parts, xlabel="time [s]", title=self.diagram, look=look)
 
     def step_info(
         self,
@@ -449,7 +481,7 @@ class Results(Shown):
             picked += [other for other in columns if other.partition("[")[0] == name]
         return picked
 
-    def _overlaid(self, runs: Mapping[str, Results], names: Sequence[str], most: int) -> object:
+    def _overlaid(self, runs: Mapping[str, Results], names: Sequence[str], most: int, look: Look) -> object:
         """A panel for each signal, with a curve of each of the runs, of which this one is the first."""
         from . import plots
 
@@ -482,7 +514,7 @@ class Results(Shown):
                 scaled = factor * values + offset if own and own != unit else values
                 lines.append(plots.Line(each.t, scaled, label, style))
             parts.append(plots.Panel(tuple(lines), f"{name} [{unit}]" if unit else name))
-        return plots.panels(parts, xlabel="time [s]")
+        return plots.panels(parts, xlabel="time [s]", look=look)
 
     def _elements(self) -> dict[str, tuple[int, str]]:
         """The column and the unit of each recorded element."""

@@ -9,9 +9,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..api.catalog import Catalog, sheet_of, words
+from ..api.catalog import Catalog, sheet_of
 from ..contract.block import Block
 from ..draw.shapes import Shape, block_shape, num
+from ..model.simulink import words
 
 MOST_FILES, MOST_LOOKED_AT, DEEPEST = 200, 20_000, 3
 """Files that are listed, and those that are looked at for them, in folders so deep."""

@@ -159,12 +159,13 @@ def _wide(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
 
 
 def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, object]) -> dict[str, str | Fault]:
-    """The study's figures by name, and those of its tunings by "tuning.NAME", as SVG; PNG files of them are written.
+    """The study's figures by name, and those of its tunings by "tuning.NAME", as SVG; files of them are written.
 
     In place of one that failed: its fault. made_of: gets the figures that are made of panels.
     """
     shown: dict[str, str | Fault] = {}
     asked: list[tuple[str, Steps, Callable[[], Any]]] = []
+    formats = {str(entry["name"]): str(entry.get("format", "png")) for entry in study_results.study.figures}
     for i, entry in enumerate(study_results.study.figures):
         made = partial(figure_of, entry, study_results.sweeps)
         made = made if "sweep" in entry else partial(_figure, entry, study_results.results)
@@ -176,7 +177,7 @@ def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, object]
     for name, path, draw in asked:
         try:
             figure = draw()
-            shown[name] = svg_of(figure, folder, name)
+            shown[name] = svg_of(figure, folder, name, formats.get(name, "png"))
             made_of |= {name: figure} if figure.parts else {}
         except BlocksError as error:
             shown[name] = replace(error.faults[0], place=f"{place_of(path)} {error.faults[0].place}")
@@ -236,8 +237,12 @@ def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> object:
             )
         )
     windows = [(float(begin), float(end)) for begin, end in entry.get("windows", ())]
+    look: plots.Look = {"size": (float(entry["size"][0]), float(entry["size"][1]))} if "size" in entry else {}
+    if any("ylim" in panel for panel in entry["panels"]):
+        look["ylim"] = [None if (ends := panel.get("ylim")) is None else (float(ends[0]), float(ends[1]))
+                        for panel in entry["panels"]]  # fmt: skip
     label = "frequency [Hz]" if spectrum else "time [s]"
-    return plots.panels(parts, xlabel=str(entry.get("xlabel", label)), windows=windows)
+    return plots.panels(parts, xlabel=str(entry.get("xlabel", label)), windows=windows, look=look)
 
 
 def _signal(
@@ -299,7 +304,7 @@ def write(
     faults: list[Fault] | None = None,
     zoom: Callable[[Mapping[str, Any]], tuple[str, str]] | None = None,
 ) -> Path:
-    """Write `report.html` and the figures (SVG, PNG) into a folder, which is made; returns the report's path.
+    """Write `report.html` and the figures into a folder, which is made; returns the report's path.
 
     command: how it was made. draw: a diagram's drawing as SVG. faults: collects those of figures that failed; the rest
     of the report is written all the same. zoom: what makes figures zoom on a screen, of those that are made of panels:

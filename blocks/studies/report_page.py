@@ -67,10 +67,10 @@ def table(rows: Sequence[Sequence[str]], *, caption: str = "", kinds: Mapping[st
     return f'<div class="wide"><table>{above}{body}</table></div>'
 
 
-def svg_of(figure: Any, folder: Path, name: str) -> str:
-    """Return a figure as SVG; a PNG file of it is written beside the report."""
+def svg_of(figure: Any, folder: Path, name: str, format: str = "png") -> str:
+    """Return a figure as SVG; a file of it in the format is written beside the report."""
     svg = plots.svg_text(figure)
-    plots.save(figure, folder / f"{name}.png")
+    plots.save(figure, folder / f"{name}.{format}")
     return svg
 
 

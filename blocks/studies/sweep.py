@@ -109,10 +109,12 @@ class Sweep(Shown):
         scenario = self.scenarios[int(self.scenario[i])] if self.scenarios else ""
         return self.again(scenario, int(self.number[i]))
 
-    @property
-    def frame(self) -> object:
-        """The table as a pandas DataFrame, a row for each run; `attrs["units"]` by column. Raises UsageError (E504)."""
-        pandas = optional("pandas", "frame")
+    def to_pandas(self) -> object:
+        """Return the table as a pandas DataFrame, a row for each run; `attrs["units"]` by column.
+
+        Raises UsageError (E504).
+        """
+        pandas = optional("pandas", "to_pandas")
         first: dict[str, object] = {"number": self.number, "status": self.status.astype(object)}
         if self.scenarios:
             first = {"scenario": np.array(self.scenarios, dtype=object)[self.scenario], **first}
@@ -126,13 +128,13 @@ class Sweep(Shown):
         frame.attrs.update(diagram=self.name, units=dict(self.units))
         return frame
 
-    def dataset(self) -> object:
-        """An xarray Dataset: measures (scenario, row), signals (scenario, row, time, ...).
+    def to_xarray(self) -> object:
+        """Return an xarray Dataset: measures (scenario, row), signals (scenario, row, time, ...).
 
         What was varied are coordinates. Units are in `attrs`. Without scenarios there is no such dimension. Raises
         UsageError (E504).
         """
-        xarray = optional("xarray", "dataset")
+        xarray = optional("xarray", "to_xarray")
         shape = (len(self.scenarios), -1) if self.scenarios else (-1,)
         dims = ("scenario", "row") if self.scenarios else ("row",)
 

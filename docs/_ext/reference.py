@@ -8,7 +8,7 @@ Directives of this extension:
     {codes}                      error codes: cause, cure and example
     {keys} RUN                   the keys of an object of a file, from the grammar; lines "key: text" say more of one
     {measures}, {units}, {functions}    tables
-    {simulink-words}             what stands for Simulink's words, from blocks/api/simulink_words.json
+    {simulink-words}             what stands for Simulink's words, from blocks/model/simulink_words.json
     {python} Diagram             a public name, with its methods
     {drawing} diagrams/x.json    a diagram, drawn
     {plot} diagrams/x.json       a run of it, plotted: `signals` names the panels, or lines of Python make it
@@ -472,7 +472,7 @@ class MeasuresDirective(Reference):
 
 class SimulinkWordsDirective(Reference):
     def run(self) -> list[nodes.Node]:
-        path = Path(blocks.__file__).resolve().parent / "api" / "simulink_words.json"
+        path = Path(blocks.__file__).resolve().parent / "model" / "simulink_words.json"
         self.env.note_dependency(str(path))
         told: dict[tuple[str, ...], list[str]] = {}
         for word, entry in json.loads(path.read_text(encoding="utf-8")).items():

@@ -268,7 +268,8 @@ def test_a_second_source_is_refused() -> None:
     gain, a, b = made.add("gain", Gain()), made.add("a", Constant()), made.add("b", Constant())
     made.wire(gain.u, a.y)
     text = message(ModelError, lambda: made.wire("gain.u", b.y))
-    assert text == "E109 gain.u: is already wired to a.y. Use Sum to add signals."
+    cure = 'Use Sum to add signals, or remove the wire first: unwire("gain.u").'
+    assert text == f"E109 gain.u: is already wired to a.y. {cure}"
 
 
 def test_names_are_taken_once() -> None:

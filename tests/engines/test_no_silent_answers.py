@@ -173,7 +173,7 @@ def test_a_wire_from_or_to_nowhere_is_refused(sink: str, source: str, parts: lis
         (lambda: Relay(starts_on="yes"), ["E107 b.starts_on:"]),
         (lambda: Delay(samples=1.5, period=1.0), ["E107 b.samples: must be an integer, not 1.5."]),
         (lambda: Delay(samples=True, period=1.0), ["E107 b.samples:"]),
-        (lambda: Gain(k=[1.0, 2.0]), ["E110 b.k: has the shape 2, but a scalar is needed."]),
+        (lambda: Gain(k=[1.0, 2.0]), ["E110 b.k: has the shape 2, but a scalar is needed.", '"copies": 2, one for each']),
         (lambda: MatrixGain(K=[[1.0, 2.0], [3.0]]), ["E107 b.K: must be numbers in rows of equal length"]),
         (lambda: StateSpace(A=[[0]], B=[[1, 2]], C=[[1, 2]]), ["E110 b.C: has the shape 1 x 2, which makes n = 2"]),
         (lambda: Sine(omega={"value": 1, "unit": "m"}), ["E104 b.omega: [m] is given, but [rad/s] is needed"]),
@@ -251,7 +251,8 @@ def test_a_second_source_of_one_input_is_refused_and_the_first_one_stays() -> No
     d = pair()
     other = d.add("other", Constant(value=-7.0))
     d.wire("g.u", "c.y")
-    taken = "E109 g.u: is already wired to c.y. Use Sum to add signals."
+    taken = "E109 g.u: is already wired to c.y. Use Sum to add signals, or remove the wire first: "
+    taken += 'unwire("g.u").'
     assert text(lambda: d.wire("g.u", other.y)) == taken
     assert text(lambda: d.wire(d["g"].u, d["c"].y)) == taken, "also where it is the same wire again"
     assert d.run(**SHORT)["g.y"][-1] == 6.0
@@ -313,11 +314,12 @@ def test_a_number_does_not_become_a_vector_nor_a_vector_a_number() -> None:
     d = pair()
     narrow, wide = d.add("narrow", MatrixGain(K=[[1.0, 2.0]])), d.add("wide", MatrixGain(K=[[1.0], [2.0]]))
     d.wire(narrow.u, "c.y")
-    d.wire("g.u", wide.y)
+    d.add("inner", Diagram.alone(Gain()))
+    d.wire("inner.u", wide.y)
     d.wire(wide.u[0], "c.y")
     said = text(d.check)
     assert 'E110 narrow.u: has 2 elements, but c.y is a single value. Wire each element, as in "narrow.u[0]"' in said
-    assert 'E110 g.u: is a single value, but wide.y has 2 elements. Wire one element, as in "wide.y[0]".' in said
+    assert 'E110 inner.u: is a single value, but wide.y has 2 elements. Wire one element, as in "wide.y[0]"' in said
     beyond = pair()
     beyond.add("wide", MatrixGain(K=[[1.0], [2.0]]))
     beyond.wire("wide.u[0]", "c.y")

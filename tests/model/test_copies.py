@@ -319,7 +319,7 @@ def test_python_adds_copies() -> None:
         (
             {"alone.u": "gains.y"},
             "alone.u: is a single value, but gains.y has 3 elements, one for each of the 3 copies of gains. "
-            'Wire one copy, as in "gains.y[0]".',
+            'Wire one copy, as in "gains.y[0]", or give the block "copies": 3.',
         ),
         (
             {"alone.u": "gains[1].y"},

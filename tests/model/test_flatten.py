@@ -377,8 +377,15 @@ def test_shapes_that_do_not_fit_are_told_with_both() -> None:
     wires = {"m.u1": "c.y", "m.u2": "c.y", "g.u": "m.y", "d.u": "m.y"}
     made = faults(blocks=blocks, wires=wires)
     assert [told(f) for f in made] == [
-        ("E110", "g.u", "is a single value, but m.y has 2 elements.", 'Wire one element, as in "m.y[0]".'),
+        ("E110", "g.u", "is a single value, but m.y has 2 elements.",
+         'Wire one element, as in "m.y[0]", or give the block "copies": 2.'),
         ("E110", "d.u", "has 3 elements, but m.y has 2 elements.", ""),
+    ]
+    plant = {"type": "StateSpace", "parameters": {"A": [[0]], "B": [[1]], "C": [[1]]}}
+    made = faults(blocks={"p": plant, "c": CONSTANT, "g": GAIN}, wires={"p.u": "c.y", "g.u": "p.y"})
+    assert [told(f)[1:] for f in made] == [
+        ("p.u", "has 1 element, but c.y is a single value.", 'Wire its element: "p.u[0]".'),
+        ("g.u", "is a single value, but p.y has 1 element.", 'Wire its element: "p.y[0]".'),
     ]
     fault = only(blocks={"d": blocks["d"], "c": CONSTANT}, wires={"d.u": "c.y"})
     assert told(fault)[2:] == (

@@ -486,7 +486,7 @@ def test_every_link_inside_the_site_leads_somewhere(site: Path) -> None:
 
 @pytest.mark.long
 def test_simulinks_words_lead_to_blocks_and_pages_that_are_there(site: Path) -> None:
-    words = json.loads((ROOT / "blocks" / "api" / "simulink_words.json").read_text(encoding="utf-8"))
+    words = json.loads((ROOT / "blocks" / "model" / "simulink_words.json").read_text(encoding="utf-8"))
     assert {"Scope", "Clock", "Fcn", "Memory", "To Workspace", "Goto", "Rate Transition", "S-Function"} <= set(words)
     assert list(words) == sorted(words, key=str.lower)
     for word, entry in words.items():

@@ -56,7 +56,7 @@ def _texts() -> Iterator[tuple[str, str]]:
     for path in (ROOT / "blocks" / "server" / "page").glob("*.js"):
         labels = [text for text in _QUOTED.findall(path.read_text(encoding="utf-8")) if " " in text]
         yield path.relative_to(ROOT).as_posix(), "\n".join(labels)
-    plain = [ROOT / "blocks" / "server" / "page" / "index.html", ROOT / "blocks" / "api" / "simulink_words.json"]
+    plain = [ROOT / "blocks" / "server" / "page" / "index.html", ROOT / "blocks" / "model" / "simulink_words.json"]
     for path in (*plain, *(ROOT / "blocks" / "cli" / "project").rglob("*.txt")):
         yield path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
     for path in (ROOT / "blocks").rglob("*.py"):

@@ -88,6 +88,22 @@ def test_pandas_reads_the_csv_file(tmp_path: Path) -> None:
     pandas.testing.assert_frame_equal(frame, made().to_pandas(), rtol=1e-15, atol=1e-300)
 
 
+def test_xarray_holds_each_signal_with_its_dimensions_and_its_unit() -> None:
+    results = made()
+    data = results.to_xarray()
+    assert list(data.data_vars) == list(results.names)
+    assert data["s.y"].dims == ("time", "s.y_1")
+    assert data["s.y"].attrs["units"] == "V"
+    assert "units" not in data["load.y"].attrs
+    for name in results.names:
+        np.testing.assert_array_equal(data[name].values, results[name])
+    np.testing.assert_array_equal(data["time"].values, results.t)
+    assert data.attrs["diagram"] == "motor"
+    assert json.loads(data.attrs["parameters"]) == {"motor.Ra": {"value": 200.0, "unit": "mOhm"}}
+    data["s.y"].values[0] = -1.0
+    assert results["s.y"][0, 0] == 1.0  # the dataset is a copy
+
+
 def test_pandas_reads_the_parquet_file(tmp_path: Path) -> None:
     made().save(tmp_path / "x.parquet")
     frame = pandas.read_parquet(tmp_path / "x.parquet")
@@ -339,6 +355,9 @@ def test_a_missing_package_is_told_with_its_cure(tmp_path: Path, monkeypatch: py
         f"E504 {path}: this needs the package pyarrow, which is not installed. "
         'Install it: pip install pyarrow; or in a clone of blocks: pip install -e ".[tables]".'
     )
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(UsageError, match="E504 to_xarray: this needs the package xarray, which is not installed"):
+        made().to_xarray()
     with pytest.raises(UsageError, match="E504 to_pandas: this needs the package pandas, which is not installed"):
         made().to_pandas()
     assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Constant, Diagram, Integrator, Product, Results, SimulationError, Sine, StateSpace, Step
+from blocks import Constant, Diagram, Integrator, Product, Results, SimulationError, Sine, StateSpace, Step, UsageError
 from blocks.engines.run.recording import CHUNK, Recording
 from blocks.model.fingerprint import fingerprint
 from blocks.results.results import Event, Events, Signal, Statistics
@@ -296,3 +296,37 @@ def test_a_constant_diagram_has_results() -> None:
     made = diagram.run(stop=1.0, every=0.5)
     assert made.t.tolist() == [0.0, 0.5, 1.0]
     assert made["c.y"].tolist() == [4.0] * 3
+
+
+def test_a_figure_has_the_size_the_ranges_and_the_labels_that_are_given() -> None:
+    made = results()
+    figure = made.plot(
+        "r", "x.y", size=(3.5, 3), title="a run", xlabel="t", xlim=(0.25, 0.5), ylim=[(0, 4), None], ylabel=["in", None]
+    )
+    first, second = figure.axes
+    assert figure.get_size_inches().tolist() == [3.5, 3.0]
+    assert (first.get_ylabel(), second.get_ylabel()) == ("in", "x.y [V.s]")
+    assert first.get_xlim() == second.get_xlim() == (0.25, 0.5)
+    assert first.get_ylim() == (0, 4)
+    assert second.get_ylim()[1] < 1.2  # it follows what is seen
+    assert (figure.get_suptitle(), figure.get_supxlabel()) == ("a run", "t")
+    assert made.plot("r", ylim=(0, 4), ylabel="all", beside={"b": results()}).axes[0].get_ylim() == (0, 4)
+
+
+@pytest.mark.parametrize(
+    ("look", "message"),
+    [
+        ({"size": (6,)}, r"E501 plot\(size=\): \(6,\) is not a width and a height in inches, such as \(6, 4\)"),
+        ({"size": (0, 4)}, "is not a width"),
+        ({"size": (math.inf, 4)}, "is not a width"),
+        ({"xlim": (2, 1)}, r"plot\(xlim=\): \(2, 1\) is not the start and the end of the axis"),
+        ({"ylim": [(0, 1), (0, 1), (0, 1)]}, "or a list with one for each of 2 panels"),
+        ({"ylim": (1, 1)}, "is not the least and the largest value"),
+        ({"ylabel": 3}, r"plot\(ylabel=\): 3 is not a text"),
+        ({"title": None}, r"plot\(title=\): None is not a text"),
+        ({"xlimit": (0, 1)}, r"E501 plot\(xlimit=\): there is no such option\. Did you mean 'xlim'\?"),
+    ],
+)
+def test_a_look_that_no_figure_can_have_is_refused(look: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        results().plot("r", "x.y", **look)

@@ -226,7 +226,7 @@ def test_workers_write_the_rows_with_their_signals_and_a_sweep_goes_on_from_them
     """A folder of files, a chunk each; those that are missing run again, and a sweep that differs is refused."""
     sizes, place = in_chunks(5, monkeypatch), tmp_path / "rows"
     far = noisy().sweep(VARY, **ASKED, on=client, out=str(place))
-    pandas.testing.assert_frame_equal(far.frame, whole.frame, check_exact=True)
+    pandas.testing.assert_frame_equal(far.to_pandas(), whole.to_pandas(), check_exact=True)
     assert far.signals == {}
     files = sorted(place.glob("*.parquet"))
     assert files[1].name == "rows-0-000000005-000000009.parquet"
@@ -236,7 +236,7 @@ def test_workers_write_the_rows_with_their_signals_and_a_sweep_goes_on_from_them
     sizes.clear()
     again = noisy().sweep(VARY, **ASKED, on=client, out=str(place))
     assert sizes == [5]
-    pandas.testing.assert_frame_equal(again.frame, whole.frame, check_exact=True)
+    pandas.testing.assert_frame_equal(again.to_pandas(), whole.to_pandas(), check_exact=True)
     with pytest.raises(UsageError, match=r"E506 .*rows-0-.*belongs to a sweep that differs in its max_steps"):
         noisy().sweep(VARY, **ASKED, on=client, out=str(place), max_steps=1000)
     noisy().sweep(VARY, **ASKED, on=client, out=str(place), max_steps=1000, restart=True)

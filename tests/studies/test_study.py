@@ -11,6 +11,7 @@ import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -342,6 +343,23 @@ def test_settings_of_matplotlib_in_the_current_folder_change_no_figure(settings:
         assert done.returncode == 0, done.stderr
         made.append([re.findall("<svg.*?</svg>", report_text, re.DOTALL)[0], (folder / "out/speed.png").read_bytes()])
     assert made[0] == made[1]
+
+
+def test_a_figure_has_the_format_the_size_and_the_range_that_the_study_gives(tmp_path: Path) -> None:
+    wide = {**figure_of("a"), "name": "wide", "format": "svg", "size": [8, 2]}
+    wide["panels"] = [{**wide["panels"][0], "ylim": [-1, 3]}]
+    path = motor_study(tmp_path / "s.json", figures=[{**figure_of("b"), "format": "pdf"}, wide])
+    assert main(["study", path, "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "f.pdf").read_bytes().startswith(b"%PDF")
+    root = ElementTree.parse(tmp_path / "out" / "wide.svg").getroot()
+    assert (root.get("width"), root.get("height")) == ("576pt", "144pt")
+    assert not [*(tmp_path / "out").glob("*.png")]
+    wide["panels"][0]["ylim"] = [3, -1]
+    path = motor_study(tmp_path / "t.json", figures=[{**wide, "format": "jpg"}])
+    with pytest.raises(ModelError) as caught:
+        study.load(path)
+    assert [fault.place for fault in caught.value.faults] == ["figures.0.panels.0.ylim", "figures.0.format"]
+    assert "[3, -1] does not end after its start" in str(caught.value)
 
 
 def test_a_figure_that_fails_costs_that_figure_only(

@@ -62,7 +62,7 @@ def noisy() -> Diagram:
 
 def assert_same(a: Sweep, b: Sweep) -> None:
     """All rows are equal, to the last bit."""
-    pandas.testing.assert_frame_equal(a.frame, b.frame, check_exact=True)
+    pandas.testing.assert_frame_equal(a.to_pandas(), b.to_pandas(), check_exact=True)
     np.testing.assert_array_equal(a.t, b.t)
     assert list(a.signals) == list(b.signals)
     for name, values in a.signals.items():
@@ -220,13 +220,13 @@ def test_each_has_a_column_for_each() -> None:
 
 def test_the_dataset_has_dimensions_and_units(whole: Sweep) -> None:
     pytest.importorskip("xarray")
-    data = whole.dataset()
+    data = whole.to_xarray()
     assert data["out.y"].dims == ("scenario", "row", "time")
     assert data["out.y"].attrs["units"] == "V"
     assert data["k"].attrs["units"] == "V"
     np.testing.assert_array_equal(data["ITAE"].sel(scenario="loud"), whole["loud"].measures["ITAE"])
     np.testing.assert_array_equal(data["time"], whole.t)
-    assert whole["loud"].dataset()["ITAE"].dims == ("scenario", "row")
+    assert whole["loud"].to_xarray()["ITAE"].dims == ("scenario", "row")
 
 
 def test_a_measure_may_be_called_as_a_parameter_is(tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def test_a_measure_may_be_called_as_a_parameter_is(tmp_path: Path) -> None:
     diagram.measure("k", "peak", "out.y")
     diagram.measure("status", "peak", "out.y", stop=0.5)
     sweep = diagram.sweep({"k": [1.0, 2.0]}, engine="native")
-    for table in (sweep.frame, sweep.dataset()):
+    for table in (sweep.to_pandas(), sweep.to_xarray()):
         assert list(np.asarray(table["k"])) == [1.0, 2.0]
         assert list(np.asarray(table["k_2"])) == list(sweep.measures["k"])
         assert list(np.asarray(table["status"])) == ["ok", "ok"]
@@ -292,7 +292,7 @@ def test_what_is_not_installed_is_told_with_its_cure(
 ) -> None:
     for name in ("pandas", "xarray", "pyarrow"):
         monkeypatch.setitem(sys.modules, name, None)
-    for use in (lambda: whole.frame, whole.dataset, lambda: whole.save(tmp_path / "a.parquet")):
+    for use in (whole.to_pandas, whole.to_xarray, lambda: whole.save(tmp_path / "a.parquet")):
         with pytest.raises(UsageError, match=r'E504 .* pip install \w+; or .* "\.\[tables\]"'):
             use()
     assert "quiet.ITAE" in whole.table()
