@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
-from ..text.printable import counted
+from ..text.printable import counted, quoted
 from .option_values import number_of
-from .options import Verbs, takes_json
+from .options import Verbs, takes_json, takes_several
 from .output import emit, printable
 
 if TYPE_CHECKING:
@@ -33,6 +33,9 @@ def add(verbs: Verbs) -> None:
     comparison.add_argument(
         "--absolute", metavar="X", help="a difference up to this, in the signal's unit, passes as well (default 0)"
     )
+    takes_several(
+        comparison, "--rename", "NAME=OTHER", "a signal NAME of the first file is called OTHER in the second one"
+    )
     takes_json(comparison)
     comparison.set_defaults(verb=_compare)
 
@@ -48,7 +51,7 @@ def _compare(options: argparse.Namespace) -> int:
             raise UsageError(Fault("E501", f"--{name}", f"{getattr(options, name)!r} must be a number without a unit."))
         limits[name] = limits[name] if given is None else float(given)
     a, b = Results.load(options.a), Results.load(options.b)
-    comparison = compare(a, b, **limits)
+    comparison = compare(a, b, **limits, names=_names(options.rename))
     if options.json:
         for difference in comparison.differences:
             emit(
@@ -59,6 +62,8 @@ def _compare(options: argparse.Namespace) -> int:
                     "difference": difference.absolute,
                     "relative": difference.relative,
                     "t": difference.t,
+                    "rmse": difference.rmse,
+                    "fit": difference.fit,
                     "within": difference.is_within,
                 }
             )
@@ -81,6 +86,18 @@ def _compare(options: argparse.Namespace) -> int:
     else:
         print(printable("\n".join(_comparison_lines(options, a, b, comparison))))
     return 0 if comparison.is_within else 1
+
+
+def _names(pairs: Sequence[str]) -> dict[str, str]:
+    """Return the names in the second file by those in the first one. Raises UsageError (E501)."""
+    names = {}
+    for pair in pairs:
+        name, _, other = pair.partition("=")
+        if not name or not other:
+            fault = Fault("E501", "--rename", f"{quoted(pair)} is not a pair of names.", "Write motor.omega=speed.")
+            raise UsageError(fault)
+        names[name] = other
+    return names
 
 
 def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, comparison: Any) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
     difference = max |a(t) - b(t)| over the interval that both have, left and right values of a jump separately
     relative   = difference / (max a - min a), over the same interval
+    RMSE       = |a - b|, and fit = 100 (1 - |a - b| / |a - mean of a|) in %, where |x|^2 is the mean of x^2 over time
 
 A signal that is constant in A is measured by its magnitude |a|; where it is 0 throughout, every difference is infinite.
 Where the times differ, both are interpolated linearly and compared at the times of both, where the difference of two
@@ -11,7 +12,7 @@ such curves is largest. A value that is not finite is equal to nothing, itself i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,8 @@ import numpy as np
 
 from ..text import units
 from ..text.arrays import Array
-from ..text.errors import BlocksError, Fault, UsageError
+from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
+from ..text.printable import quoted
 from ..text.rich_output import Part, Shown, Table, as_text
 from .provenance import Origin
 from .results import Results
@@ -33,7 +35,8 @@ FLAT = 1e-12
 class Difference:
     """How far one signal of A is from that of B, in A's unit; `relative` to its range in A, and at which time.
 
-    Both numbers are NaN where a value is not finite, and t is the first such time.
+    rmse: the root of the mean square over time of the difference, in A's unit. fit: in %, 100 for equal signals; of a
+    constant A, -inf for others. All numbers are NaN where a value is not finite, and t is the first such time.
     """
 
     name: str
@@ -42,6 +45,8 @@ class Difference:
     relative: float
     t: float
     is_within: bool
+    rmse: float
+    fit: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,9 +91,11 @@ class Comparison(Shown):
         return as_text([self._table()])
 
     def _table(self) -> Table:
-        rows = [("signal", "unit", "difference", "of range", "at t", "")]
+        rows = [("signal", "unit", "difference", "of range", "at t", "RMSE", "fit", "")]
         for difference in self.differences:
-            numbers = (f"{difference.absolute:.5g}", f"{difference.relative:.5g}", f"{difference.t:.10g}")
+            largest = (f"{difference.absolute:.5g}", f"{difference.relative:.5g}", f"{difference.t:.10g}")
+            fit = f"{difference.fit:.4g} %" if math.isfinite(difference.fit) else "-"
+            numbers = (*largest, f"{difference.rmse:.5g}", fit)
             rows.append((difference.name, difference.unit or "-", *numbers, "" if difference.is_within else "✗"))
         return Table(rows)
 
@@ -99,35 +106,42 @@ class Comparison(Shown):
 
 
 def compare(
-    a: Results | str | Path, b: Results | str | Path, *, tolerance: float = TOLERANCE, absolute: float = 0.0
+    a: Results | str | Path,
+    b: Results | str | Path,
+    *,
+    tolerance: float = TOLERANCE,
+    absolute: float = 0.0,
+    names: Mapping[str, str] | None = None,
 ) -> Comparison:
     """The differences of b from a: results, or the paths of result files.
 
     tolerance: how far a signal may be off, as a part of its range in a. absolute: a difference up to this, in the
-    signal's own unit, is within it as well. Values in another unit of the same quantity are converted; an unknown unit
-    fits every other. Raises UsageError (E501, E503 for a file that cannot be read, and E505 where nothing can be
-    compared) and ModelError (E114).
+    signal's own unit, is within it as well. names: signals that have other names in b, by their names in a, such as
+    {"motor.omega": "speed"}; the name of a vector or a block stands for all its elements or outputs. Values in another
+    unit of the same quantity are converted; an unknown unit fits every other. Raises UsageError (E501, E503 for a file
+    that cannot be read, and E505 where nothing can be compared) and ModelError (E114).
     """
     for name, value in (("tolerance", tolerance), ("absolute", absolute)):
         if not (math.isfinite(value) and value >= 0):
             raise UsageError(Fault("E501", name, f"must be a number of at least 0, not {value}."))
     a, b = (source if isinstance(source, Results) else Results.load(source) for source in (a, b))
     left, right = ({name: (column, unit) for name, column, unit in results.flat_columns()} for results in (a, b))
-    common = [name for name in left if name in right]
+    partners = _partners(left, right, names or {})
+    common = list(partners)
     start, stop = _span(a, b, common)
-    factors = _factors({name: (left[name][1], right[name][1]) for name in common})
+    factors = _factors({name: (left[name][1], right[partners[name]][1]) for name in common})
     pair = _Pair(a.t, b.t, start, stop)
     differences = []
     for name in common:
         column, unit = left[name]
-        values, others = a.values[:, column], b.values[:, right[name][0]]
-        far, relative, t = pair.difference(values, _moved(others, *factors[name]))
+        others, other_unit = right[partners[name]]
+        far, relative, t, *means = pair.difference(a.values[:, column], _moved(b.values[:, others], *factors[name]))
         is_within = relative <= tolerance or far <= absolute
-        differences.append(Difference(name, unit or right[name][1], far, relative, t, is_within))
+        differences.append(Difference(name, unit or other_unit, far, relative, t, is_within, *means))
     return Comparison(
         tuple(differences),
-        tuple(name for name in left if name not in right),
-        tuple(name for name in right if name not in left),
+        tuple(name for name in left if name not in partners),
+        tuple(name for name in right if name not in partners.values()),
         start,
         stop,
         len(pair.times),
@@ -135,6 +149,29 @@ def compare(
         float(tolerance),
         tuple(_notes(a, b)),
     )
+
+
+def _partners(left: Collection[str], right: Collection[str], names: Mapping[str, str]) -> dict[str, str]:
+    """Return the elements that both have: the name of each in B, by its name in A.
+
+    Raises UsageError (E501) for a pair of names of which one side lacks its own.
+    """
+    partners = {name: name for name in left if name in right}
+    for ours, theirs in names.items():
+        for name, known, side in ((ours, left, "A"), (theirs, right, "B")):
+            if not any(_rest(each, name) is not None for each in known):
+                cure = did_you_mean(name, known) or f"Signals: {', '.join([*known][:20])}."
+                raise UsageError(Fault("E501", "names", f"there is no signal {quoted(name)} in {side}.", cure))
+        renamed = {each: theirs + rest for each in left if (rest := _rest(each, ours)) is not None}
+        partners = {each: other for each, other in partners.items() if other not in renamed.values()}
+        partners |= {each: other for each, other in renamed.items() if other in right}
+    return {name: partners[name] for name in left if name in partners}
+
+
+def _rest(element: str, name: str) -> str | None:
+    """Return what follows a name in that of an element, port or block of it; None if it is none of these."""
+    rest = element.removeprefix(name)
+    return rest if element.startswith(name) and (not rest or rest[0] in ".[") else None
 
 
 def _span(a: Results, b: Results, common: list[str]) -> tuple[float, float]:
@@ -214,8 +251,8 @@ class _Pair:
         # Where one begins or ends within the other, it has only the inner side of a jump there.
         self.skipped = (a[0] != b[0], a[-1] != b[-1])
 
-    def difference(self, a: Array, b: Array) -> tuple[float, float, float]:
-        """The largest difference, the same as a part of a's range, and the time."""
+    def difference(self, a: Array, b: Array) -> tuple[float, float, float, float, float]:
+        """Return the largest difference, the same as a part of a's range, the time, the RMSE and the fit in %."""
         with np.errstate(invalid="ignore", over="ignore"):
             if self.is_interpolated:
                 (a_left, a_right), (b_left, b_right) = self.a.sides(a), self.b.sides(b)
@@ -223,15 +260,38 @@ class _Pair:
                     a_left[0], b_left[0] = a_right[0], b_right[0]
                 if self.skipped[1]:
                     a_right[-1], b_right[-1] = a_left[-1], b_left[-1]
-                times, a, b = np.tile(self.times, 2), np.append(a_left, a_right), np.append(b_left, b_right)
+                times, a, b = (np.stack(sides, 1).ravel() for sides in
+                               ((self.times, self.times), (a_left, a_right), (b_left, b_right)))  # fmt: skip
             else:
                 times = self.times
             far = np.abs(a - b)
             odd = ~(np.isfinite(a) & np.isfinite(b))
             if odd.any():
-                return math.nan, math.nan, float(times[odd].min())
+                return math.nan, math.nan, float(times[odd].min()), math.nan, math.nan
             at = int(np.argmax(far))
-            return float(far[at]), _relative(float(far[at]), a), float(times[at])
+            rmse, spread = _mean_square_root(times, far), _spread(times, a)
+            fit = 100.0 * (1.0 - rmse / spread) if spread else 100.0 if rmse == 0.0 else -math.inf
+            return float(far[at]), _relative(float(far[at]), a), float(times[at]), rmse, fit
+
+
+def _mean_square_root(t: Array, y: Array) -> float:
+    """Return the root of the mean square over time of lines between rows; of one time, of its rows."""
+    scale = float(np.max(np.abs(y)))
+    if not 0.0 < scale < math.inf:
+        return scale
+    y, span = y / scale, float(t[-1] - t[0])
+    if not span:
+        return scale * float(np.sqrt(np.mean(y * y)))
+    whole = np.sum(np.diff(t) / span * (y[:-1] * y[:-1] + y[:-1] * y[1:] + y[1:] * y[1:]) / 3.0)
+    return scale * math.sqrt(float(whole))
+
+
+def _spread(t: Array, y: Array) -> float:
+    """Return the root of the mean square over time of a signal around its mean; 0 for a constant with rounding."""
+    span = float(t[-1] - t[0])
+    mean = float(np.sum(np.diff(t) / span * (y[:-1] / 2.0 + y[1:] / 2.0))) if span else float(np.mean(y))
+    spread = _mean_square_root(t, y - mean)
+    return spread if spread > FLAT * float(np.max(np.abs(y))) else 0.0
 
 
 def _relative(far: float, a: Array) -> float:

@@ -206,7 +206,7 @@ def _is_pair(given: object) -> bool:
 
 
 def _check_look(look: Look, count: int) -> None:
-    """Refuse a look that no figure with so many panels can have (E501)."""
+    """Refuse a look that does not fit a figure with this number of panels (E501)."""
 
     def refuse(key: str, needed: str) -> None:
         what = " ".join(repr(look.get(key)).split())[:100]

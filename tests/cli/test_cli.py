@@ -570,9 +570,9 @@ def test_compare_prints_a_table_and_a_verdict(tmp_path: Path, capsys: pytest.Cap
         f"{b}  b  0 ... 2 s  2 rows",
         "  the times differ: compared by linear interpolation at 3 times of 0 ... 2 s",
         "  diagrams: first | b",
-        "  signal  unit   difference  of range  at t",
-        "  m.w     rad/s  3           0.75      1     ✗",
-        "  m.i     A      1           0.5       1     ✗",
+        "  signal  unit   difference  of range  at t  RMSE     fit",
+        "  m.w     rad/s  3           0.75      1     1.7321   -66.41 %  ✗",
+        "  m.i     A      1           0.5       1     0.57735  10.56 %   ✗",
         f"  only in {b}: extra",
         "2 of 2 signals beyond 1e-06 of the range in the first file; the worst is m.w",
     ]
@@ -592,11 +592,11 @@ def test_compare_with_json_has_a_line_for_each_signal_and_one_for_all(
     assert lines[:2] == [
         {
             "event": "signal", "signal": "m.w", "unit": "rad/s", "difference": 1.0, "relative": 0.25, "t": 1.0,
-            "within": False,
+            "rmse": pytest.approx(3**-0.5), "fit": pytest.approx(100 - 100 * (0.8 / 2.6) ** 0.5), "within": False,
         },
         {
             "event": "signal", "signal": "m.i", "unit": "A", "difference": None, "relative": None, "t": 1.0,
-            "within": False,
+            "rmse": None, "fit": None, "within": False,
         },
     ]  # fmt: skip
     assert lines[2] == {
@@ -604,6 +604,15 @@ def test_compare_with_json_has_a_line_for_each_signal_and_one_for_all(
         "start": 0.0, "stop": 2.0, "times": 3, "interpolated": False, "only_a": [], "only_b": [],
         "notes": ["diagrams: first | b"],
     }  # fmt: skip
+
+
+def test_compare_takes_names_that_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a, b = pair(tmp_path, "time,speed,m.i\n0,0,1\n1,4,1\n2,2,3\n")
+    assert main(["compare", a, b, "--rename", "m.w=speed"]) == 0
+    assert capsys.readouterr().out.endswith("\n2 signals within 1e-06 of the range in the first file\n")
+    for wrong, said in (("m.w", 'E501 --rename: "m.w" is not a pair of names.'), ("m.w=sped", "Did you mean 'speed'?")):
+        assert main(["compare", a, b, "--rename", wrong]) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_the_three_formats_of_one_run_are_equal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -266,6 +266,58 @@ def test_what_cannot_be_compared_is_told(a: Results, b: Results, options: dict[s
     assert not isinstance(caught.value, ModelError)
 
 
+# --- over all times, and under other names ----------------------------------------------------------------------
+
+
+def test_the_rmse_and_the_fit_are_integrals_over_time() -> None:
+    t = np.linspace(0, 2 * np.pi, 20_001)
+    a, b = results(t, x=np.sin(t)), results(t, x=np.sin(t) + 0.1 * np.cos(t))
+    made = compare(a, b).differences[0]
+    assert made.rmse == pytest.approx(0.1 / math.sqrt(2), rel=1e-6)
+    assert made.fit == pytest.approx(90, rel=1e-6)
+    # Times that lie closer at one end do not count for more.
+    odd = 2 * np.pi * np.linspace(0, 1, 30_001) ** 3
+    again = compare(results(odd, x=np.sin(odd)), results(t, x=np.sin(t) + 0.1 * np.cos(t))).differences[0]
+    assert (again.rmse, again.fit) == pytest.approx((made.rmse, made.fit), rel=1e-5)
+
+
+def test_the_two_sides_of_a_jump_count_for_no_time() -> None:
+    a = results([0, 1, 1, 2], x=[0, 0, 1, 1])
+    late = compare(a, results([0, 1.5, 1.5, 2], x=[0, 0, 1, 1])).differences[0]
+    assert (late.absolute, late.t) == (1, 1)
+    assert late.rmse == pytest.approx(0.5)  # 1 for a quarter of the time
+    assert late.fit == pytest.approx(0)  # as far off as the mean of a is
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "rmse", "fit"),
+    [
+        ([0, 1e300], [0, 1e300], 0, 100),
+        ([0, 1e300], [0, 2e300], 1e300 / math.sqrt(3), 100 * (1 - 2)),
+        ([3, 3], [3, 3], 0, 100),
+        ([3, 3], [3, 4], 1 / math.sqrt(3), -math.inf),
+        ([0, math.nan], [0, 1], math.nan, math.nan),
+    ],
+)
+def test_the_fit_of_large_constant_and_missing_values(x: list[float], y: list[float], rmse: float, fit: float) -> None:
+    made = compare(results([0, 1], x=x), results([0, 1], x=y)).differences[0]
+    assert (made.rmse, made.fit) == pytest.approx((rmse, fit), nan_ok=True)
+
+
+def test_signals_may_have_other_names_in_b() -> None:
+    a, b = results([0, 1], x=[0, 1], z=[5, 5]), results([0, 1], speed=[0, 2], z=[5, 5], x=[7, 7])
+    made = compare(a, b, names={"x.y": "speed.y"})
+    assert [(each.name, each.absolute) for each in made.differences] == [("x.y", 1), ("z.y", 0)]
+    assert (made.only_a, made.only_b) == ((), ("x.y",))
+    assert compare(a, b, names={"x": "speed"}).differences == made.differences  # all outputs of a block
+    swapped = compare(a, b, names={"x": "z", "z": "x"})
+    assert [each.absolute for each in swapped.differences] == [5, 2]
+    for names, said in (({"y": "z"}, 'E501 names: there is no signal "y" in A'), ({"x": "spee"}, "in B. Did you mean")):
+        with pytest.raises(UsageError) as caught:
+            compare(a, b, names=names)
+        assert said in str(caught.value)
+
+
 # --- what is shown ---------------------------------------------------------------------------------------------
 
 
@@ -273,9 +325,9 @@ def test_the_table_marks_what_is_beyond() -> None:
     a = results([0, 1], units={"x": "V"}, x=[0, 2], long_name=[0, 1])
     made = compare(a, results([0, 1], units={"x": "V"}, x=[0, 1.5], long_name=[0, 1]))
     assert made.table().splitlines() == [
-        "  signal       unit  difference  of range  at t",
-        "  x.y          V     0.5         0.25      1     ✗",
-        "  long_name.y  -     0           0         0",
+        "  signal       unit  difference  of range  at t  RMSE     fit",
+        "  x.y          V     0.5         0.25      1     0.28868  50 %   ✗",
+        "  long_name.y  -     0           0         0     0        100 %",
     ]
     assert repr(made) == f"<Comparison: 2 signals, beyond 1e-06>\n{made.table()}"
 
