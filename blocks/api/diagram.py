@@ -21,7 +21,7 @@ import enum
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -30,7 +30,7 @@ from ..compile.plan import Plan
 from ..compile.plan_builder import plan
 from ..contract.block import Block
 from ..contract.enumerations import Enumeration
-from ..editing.swapping import existing, swapped
+from ..editing.swapping import diagrams_along, existing, swapped
 from ..host.ipython_errors import UnknownName
 from ..model import document as documents
 from ..model.block_types import Library, library_types
@@ -319,6 +319,8 @@ class Diagram:
     ) -> Swap:
         """Put another block in the place of one, and say what was matched; wires, outputs, log and measures stay.
 
+        name: of a block, or the path of one in subdiagrams of this file, such as "control.eso".
+
         Ports are matched by name, then by spelling (without case and underscores), then by unit where that leaves no
         choice; ports: by hand, {"omega": "w"}. Values of parameters of equal names go along where they can, and so does
         the name of the stream of random numbers. The block that was there stays as well: the new one is a variant of
@@ -327,12 +329,18 @@ class Diagram:
 
         Raises ModelError where a port that is used has no partner; then nothing is changed.
         """
-        value, is_subdiagram = self.value, isinstance(block, (Diagram, Subdiagram))
-        old = existing(value, name)
-        entry = self._entry(name, block, doc=doc, control=old.control if is_subdiagram else None)
-        changed, swap = swapped(value, name, entry, self._draft.resolver, variant=variant, ports=ports)
-        self._draft.put("blocks", {name: changed})
-        return swap
+        *outer, last = str(name).split(".")
+        values = diagrams_along(self.value, outer)
+        old, is_subdiagram = existing(values[-1], last), isinstance(block, (Diagram, Subdiagram))
+        entry = self._entry(last, block, doc=doc, control=old.control if is_subdiagram else None)
+        changed, swap = swapped(values[-1], last, entry, self._draft.resolver, variant=variant, ports=ports)
+        while outer:
+            inner = values.pop()
+            inner = replace(inner, blocks={**inner.blocks, last: changed})
+            last = outer.pop()
+            changed = replace(values[-1].blocks[last], diagram=inner)
+        self._draft.put("blocks", {last: changed})
+        return replace(swap, block=name)
 
     def with_variants(self, choices: Mapping[str, str]) -> Diagram:
         """A copy in which these variants stand in place of their blocks, by path: {"robot.motor": "fmu"}.

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ..model.block_ports import Ports, listed, parameter_units, port_units
 from ..model.diagram_value import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.variants import Match, Swap, match, used_ports
-from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.json_number import is_number
 from ..text.printable import legible, quoted
 
@@ -20,6 +20,22 @@ def existing(value: DiagramValue, name: str) -> BlockEntry:
         cure = did_you_mean(str(name)[:200], value.blocks) or f"Blocks: {', '.join(value.blocks) or 'none'}."
         raise ModelError(Fault("E105", legible(str(name)), "there is no such block.", cure))
     return value.blocks[name]
+
+
+def diagrams_along(value: DiagramValue, path: Sequence[str]) -> list[DiagramValue]:
+    """Return a diagram and the subdiagrams along a path of blocks, from the outside.
+
+    Raises ModelError (E105) if one is missing, UsageError (E501) if one is not inside this file.
+    """
+    values = [value]
+    for name in path:
+        block = existing(values[-1], name)
+        if not isinstance(block.diagram, DiagramValue):
+            what = "is a diagram in another file" if block.diagram else "is not a subdiagram"
+            cure = f"Load {block.diagram}, and swap the block there." if block.diagram else ""
+            raise UsageError(Fault("E501", name, f"{what}, so no block in it can be swapped here.", cure))
+        values.append(block.diagram)
+    return values
 
 
 def swapped(

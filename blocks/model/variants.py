@@ -194,7 +194,8 @@ class Swap:
         return {pair.name: pair.own for pair in (*self.inputs, *self.outputs) if pair.own != pair.name}
 
     def __str__(self) -> str:
-        lines = [f'{self.block}: {self.before} -> {self.after}, as the variant "{self.variant}"']
+        what = f'as the variant "{self.variant}", which is the default now'
+        lines = [f"{self.block}: {self.before} -> {self.after}, {what}"]
         for title, matches in (("inputs", self.inputs), ("outputs", self.outputs)):
             if matches:
                 lines.append(f"  {title}: {', '.join(map(str, matches))}")

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from blocks import (
     Block,
+    BlocksError,
     Constant,
     Diagram,
     FirstOrder,
@@ -31,6 +32,7 @@ from blocks import (
     TransferFunction,
     fmu,
     output,
+    subdiagram,
 )
 from blocks.compile.coupling import Coupling
 from blocks.model.diagram_value import BASE
@@ -152,12 +154,43 @@ def test_an_element_keeps_its_index(port: str, own: str) -> None:
 # --- swap ------------------------------------------------------------------------------------------------------
 
 
+def test_a_block_in_a_subdiagram_is_swapped_by_its_path(tmp_path: Path) -> None:
+    inner = Diagram("inner")
+    inner.input("e")
+    inner.wire(inner.add("k", Gain(k=2)).u, "e")
+    inner.output("y", "k.y")
+    middle = Diagram("middle")
+    middle.input("e")
+    middle.wire(middle.add("control", inner).e, "e")
+    middle.output("y", "control.y")
+    outer = Diagram("outer")
+    outer.wire(outer.add("a", middle).e, outer.add("c", Constant(value=1)).y)
+    swap = outer.swap("a.control.k", Gain(k=5), variant="strong")
+    assert str(swap).startswith('a.control.k: Gain -> Gain, as the variant "strong", which is the default now')
+    ends = [outer.run(stop=1, variants=chosen)["a.y"][-1] for chosen in ({}, {"a.control.k": "base"})]
+    assert ends == [5, 2]
+    outer.save(tmp_path / "outer.json")
+    assert Diagram.load(tmp_path / "outer.json").run(stop=1)["a.y"][-1] == 5
+    middle.save(tmp_path / "middle.json")
+    linked = Diagram("linked", folder=tmp_path)
+    linked.add("m", subdiagram("middle.json"))
+    for path, said in (
+        ("a.control.q", "E105 q: there is no such block. Blocks: k."),
+        ("c.q", "E501 c: is not a subdiagram, so no block in it can be swapped here."),
+    ):
+        with pytest.raises(BlocksError) as caught:
+            outer.swap(path, Gain())
+        assert str(caught.value) == said
+    with pytest.raises(BlocksError, match=r"E501 m: is a diagram in another file.*Load middle\.json, and swap"):
+        linked.swap("m.control", Gain())
+
+
 def test_a_swap_says_what_it_matched() -> None:
     diagram = loop()
     made = diagram.swap("motor", Motor(), ports={"omega": "w"})
     assert str(made) == "\n".join(
         [
-            'motor: PMDCMotor -> Motor, as the variant "Motor"',
+            'motor: PMDCMotor -> Motor, as the variant "Motor", which is the default now',
             "  inputs: v -> Voltage_ (by unit) [V], tau -> load (by unit) [N.m]",
             "  outputs: omega -> w (by choice) [rad/s], i -> I (by spelling) [A]",
             "  only in Motor: power",
