@@ -73,17 +73,17 @@ _LIBRARY = (
     "BouncingBall", "BuckConverter", "Chirp", "Clarke", "Compare", "CompareToConstant", "Constant",
     "CoulombFriction", "Counter", "DeadZone", "Delay", "Demux", "Derivative", "DiscreteESO", "DiscreteINLSEF",
     "DiscreteINTD", "DiscreteIntegrator", "DiscretePID", "DiscreteSMESO", "DiscreteStateObserver",
-    "DiscreteStateSpace", "DiscreteTransferFunction", "Disturbance", "Divide", "DotProduct", "EdgeDetect", "Exp",
-    "Expression", "FIRFilter", "FirstOrder", "FirstOrderHold", "Gain", "Integrator", "InverseClarke", "InversePark",
-    "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log", "Logic", "LookupTable",
+    "DiscreteStateSpace", "DiscreteTransferFunction", "Disturbance", "Divide", "DotProduct", "EdgeDetect", "Encoder",
+    "Exp", "Expression", "FIRFilter", "FirstOrder", "FirstOrderHold", "Gain", "Integrator", "InverseClarke",
+    "InversePark", "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log", "Logic", "LookupTable",
     "LookupTable2D", "Lorenz", "LuGreFriction", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax",
     "MovingAverage", "MultiportSwitch", "Multisine", "Mux", "Noise", "Norm", "PMDCMotor", "Park", "Polynomial",
     "Power", "Product", "Pulse", "Quadrotor", "Quantizer", "QuarterCar", "Ramp", "RateLimiter", "RateTransition",
     "Reduction", "Relay", "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign",
     "Sine", "Sqrt", "SquareWave", "StateObserver", "StateSpace", "Step", "Sum", "Switch", "SwitchAbove",
-    "SwitchedMatrixGain", "Table", "Tank", "TrackingDifferentiator", "TransferFunction", "TransportDelay",
-    "Trapezoid", "Trigonometry", "TwoLinkArm", "UnitDelay", "VanDerPol", "WheelMixing", "ZeroOrderHold",
-    "ZeroPoleGain",
+    "SwitchedMatrixGain", "Table", "Tank", "Timer", "TrackingDifferentiator", "TransferFunction",
+    "TransportDelay", "Trapezoid", "Trigonometry", "TwoLinkArm", "UnitDelay", "Unwrap", "VanDerPol",
+    "WheelMixing", "Wrap", "ZeroOrderHold", "ZeroPoleGain",
 )  # fmt: skip
 
 __all__ = sorted([*_PLACES, *_LIBRARY])

@@ -6,7 +6,7 @@ from typing import Any
 from ..contract.block import Block, is_abstract
 
 _MODULES = (
-    "adrc", "arithmetic", "continuous", "discrete", "drives", "excitation", "expression", "filters", "flight",
+    "adrc", "angles", "arithmetic", "continuous", "discrete", "drives", "excitation", "expression", "filters", "flight",
     "friction", "functions", "logic", "mechanics", "memory", "noise", "nonlinear", "observers", "oscillators", "pid",
     "power", "process", "robot", "sampled", "sources", "tables", "vectors", "wiring",
 )  # fmt: skip

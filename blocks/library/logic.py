@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..contract.block import Block
-from ..contract.equations import crossing, output, requires
+from ..contract.equations import crossing, event_time, output, requires
 from ..contract.table_lookup import search
 from ..contract.variables import Discrete, Input, Parameter
 
@@ -17,6 +17,7 @@ __all__ = [
     "MultiportSwitch",
     "Switch",
     "SwitchAbove",
+    "Timer",
 ]
 
 # Not "==", which in a diagram file begins a text that is no expression.
@@ -274,3 +275,57 @@ class Counter(Block):
     def y(rises, skipped, reset, first, final, form):
         n = np.where(reset, 0.0, rises - skipped)
         return first + (np.minimum(n, final - first) if form == "stop" else np.remainder(n, final - first + 1.0))
+
+
+class Timer(Block):
+    """elapsed = the time since u became true, 0 while u is false; done = whether u has been true for `duration`.
+
+    The instants at which u changes and at which `done` becomes true are located: an on-delay. done becomes false with
+    u. If u is true at the start, the time counts from there.
+    """
+
+    duration = Parameter(1.0, unit="s", positive=True, doc="time after which done becomes true")
+    u = Input(type="bool", doc="whether the time counts")
+    began = Discrete(unit="s", doc="time at which u became true")
+    running = Discrete(type="bool", doc="whether u is true")
+    finished = Discrete(unit="s", doc="began of the last time for which u was true for the duration")
+
+    @began.initial
+    def begins(t):
+        return t
+
+    @running.initial
+    def runs(u):
+        return u
+
+    @crossing
+    def change(u):
+        return np.where(u, 1.0, -1.0)
+
+    @change.reset(began)
+    def begin(t):
+        return t
+
+    @change.reset(running)
+    def run(u):
+        return u
+
+    @event_time
+    def due(t, began, running, duration):
+        return np.where(running & (t < began + duration), began + duration, np.inf)
+
+    @finished.initial
+    def never(t):
+        return t - 1.0
+
+    @due.reset(finished)
+    def finish(began):
+        return began
+
+    @output(type="bool", doc="whether u has been true for the duration")
+    def done(began, running, finished):
+        return running & (finished == began)
+
+    @output(unit="s", doc="time since u became true")
+    def elapsed(t, began, running):
+        return np.where(running, t - began, 0.0)
