@@ -41,8 +41,6 @@ PICTOGRAMS: dict[str, tuple[tuple[str, str], ...]] = {
     "Quantizer": (_CROSS, ("line", "M-16 12H-10V7H-5V2H0V-3H5V-8H10V-12H16")),
     "Wrap": (_CROSS, ("line", "M-15 -2L-9 -10V10L9 -10V10L15 2")),
     "Unwrap": (("thin", "M-15 12L-6 3V12L4 2V12L14 2"), ("line", "M-15 8L14 -12")),
-    "Encoder": (_CORNER, ("line", "M-14 9H-8V4H-2V-1H4V-6H10V-11H15")),
-    "Timer": (_CORNER, ("thin", "M-14 7H-9V-11H14"), ("line", "M-14 7H3V-6H14")),
     "RateLimiter": (_CROSS, ("line", "M-14 11H-9L9 -11H14M-9 11V4M9 -11V-4")),
     "Biquad": (_CORNER, ("line", "M-15 -6H-6C0 -6 1 -9 3 -9C6 -9 6 10 14 10")),
     "FIRFilter": (_CORNER, ("line", "M-14 12V9M-9 12V3M-4 12V-6M1 12V-10M6 12V-6M11 12V3M15 12V9")),
