@@ -9,10 +9,13 @@ from typing import Any, NamedTuple
 
 from ..contract.block import Block
 from ..contract.interface import Interface
+from ..model import simulink
 from ..model.block_types import Library, library_types
-from ..model.simulink import Word, words
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
+
+Word = simulink.Word
+words, word_of = simulink.words, simulink.word_of
 
 
 class PortRow(NamedTuple):

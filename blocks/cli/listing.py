@@ -12,8 +12,7 @@ from .options import Verbs, takes_json, takes_library
 from .output import emit, printable
 
 if TYPE_CHECKING:
-    from ..api.catalog import Catalog, Found, Sheet
-    from ..model.simulink import Word
+    from ..api.catalog import Catalog, Found, Sheet, Word
 
 
 def add(verbs: Verbs) -> None:
@@ -34,8 +33,7 @@ def add(verbs: Verbs) -> None:
 
 
 def _list(options: argparse.Namespace) -> int:
-    from ..api.catalog import Catalog, measures
-    from ..model.simulink import word_of
+    from ..api.catalog import Catalog, measures, word_of
 
     catalog = Catalog.of(options.library)
     if options.block == "measures":

@@ -117,7 +117,7 @@ def compare(
 
     tolerance: how far a signal may be off, as a part of its range in a. absolute: a difference up to this, in the
     signal's own unit, is within it as well. names: signals that have other names in b, by their names in a, such as
-    {"motor.omega": "speed"}; the name of a vector or a block stands for all its elements or outputs. Values in another
+    {"motor.omega": "speed"}; the name of a vector or a block is that of all its elements or outputs. Values in another
     unit of the same quantity are converted; an unknown unit fits every other. Raises UsageError (E501, E503 for a file
     that cannot be read, and E505 where nothing can be compared) and ModelError (E114).
     """
