@@ -358,6 +358,11 @@ class Plan(Shown):
         return (count * self.base.numerator) / self.base.denominator
 
     @cached_property
+    def time_scale(self) -> float:
+        """The size of the times that others are computed from, whose rounding errors these carry along near 0."""
+        return max([abs(float(self.settings.start)), *(history.delay for history in self.histories)])
+
+    @cached_property
     def unknowns_at(self) -> Mapping[Reference, int]:
         """The place in z of each unknown."""
         return {reference: k for k, reference in enumerate(self.unknowns)}

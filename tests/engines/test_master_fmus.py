@@ -845,6 +845,25 @@ def test_communication_points_do_not_come_back_out_of_a_delay(engine: str) -> No
     assert np.abs(results["late.y"] - exact).max() < 3e-3  # in the first step the sine is held
 
 
+@each_engine
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_delayed_input_with_bends_is_extrapolated_to_the_full_order(order: int, engine: str) -> None:
+    """The bends come out of the delay between communication points, and rounding at these makes no jumps."""
+    d = Diagram("bends")
+    late, lag = d.add("late", TransportDelay(delay=0.21)), d.add("lag", FirstOrder(k=1.5, T=0.3))
+    d.wire(d.add("driven", Sum(signs="+")).u1, d.input("drive"))
+    d.wire(late.u, "driven.y")
+    d.wire(lag.u, late.y)
+    d.wire(d.add("after", FirstOrder(T=0.25)).u, lag.y)
+    settings: dict[str, Any] = {"stop": 2.0, "every": 0.1, "rtol": 1e-10, "atol": 1e-12, "engine": engine}
+    settings["inputs"] = {"drive": ([0.113, 0.517, 0.9, 1.31], [0.5, -0.1, -0.9, 0.4], "linear")}
+    exact = d.run(**settings)["after.y"]
+    d.swap("lag", fmu(lag_fmu(2), "CS"))
+    steps = [{"step": step, "algorithm": "jacobi", "order": order} for step in (0.01, 0.005)]
+    long, short = (np.abs(d.run(**settings, master=master)["after.y"] - exact).max() for master in steps)
+    assert math.log2(long / short) == pytest.approx(order + 1, abs=0.1)
+
+
 @pytest.mark.parametrize(("algorithm", "order"), [("iterated", 0), ("jacobi", 2)])
 def test_blocks_with_a_delay_go_back_as_others_do(algorithm: str, order: int) -> None:
     """Steps are repeated in both engines, and a delay that nobody reads leaves the FMU's output as it is."""

@@ -196,10 +196,10 @@ class CoupledRun(Exchange, ABC):
         t, coupling = self.t, self.plan
         behind = self._behind(before) if set_behind is None else set_behind
         at_break = self._passes_break()
-        bent, acted = self._act(left_values, before)
+        is_set = at_break or set_behind is not None
+        bent, acted = self._act(left_values, before, at_break=is_set)
         here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
         jumps = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
-        is_set = at_break or set_behind is not None
         # Elements that jump, or follow what happened in their unit or an input that jumps, take a new course.
         renewed = jumps | (bent & set(here))
         jumped = {Reference("y", g) for g in jumps}
@@ -275,11 +275,12 @@ class CoupledRun(Exchange, ABC):
         return at_break
 
     def _act(
-        self, left_values: list[float] | None, before: list[list[Point]] | None
+        self, left_values: list[float] | None, before: list[list[Point]] | None, *, at_break: bool
     ) -> tuple[set[int], set[int]]:  # fmt: skip
         """Let instants happen in the units that stand at t, until nothing changes.
 
-        Return the elements that bend, and the units where something happened.
+        at_break: inputs of the diagram jump or bend. Return the elements that bend, and the units where something
+        happened.
         """
         t, coupling = self.t, self.plan
         has = [unit.has_instants for unit in coupling.units]
@@ -288,7 +289,7 @@ class CoupledRun(Exchange, ABC):
         arrived = set(acting)
         for k in acting:
             self.units[k].take(self._inputs(k, t))
-            self.units[k].arrive()
+            self.units[k].arrive(at_break=at_break)
         passes = 0
         while acting:
             if passes == MOST_PASSES:
@@ -312,19 +313,21 @@ class CoupledRun(Exchange, ABC):
             readers = {k for g in changed for k in coupling.readers[g]}
             late = {k for k in readers if self.at[k] < t and not coupling.units[k].is_rigid}
             if late and left_values is not None and before is not None:
-                self._catch_up(late, left_values, before)
+                self._catch_up(late, left_values, before, at_break=at_break)
                 arrived |= {k for k in late if coupling.units[k].acts}
             acting = sorted(k for k in readers if self.at[k] == t and has[k])
         return {coupling.units[k].outputs[n] for k in arrived for n in self.units[k].bent(k in acted)}, acted
 
-    def _catch_up(self, late: set[int], left_values: list[float], before: list[list[Point]]) -> None:
+    def _catch_up(
+        self, late: set[int], left_values: list[float], before: list[list[Point]], *, at_break: bool
+    ) -> None:  # fmt: skip
         """Step units that lag behind to t, with inputs as they were left of it."""
         t = self.t
         y, self.y = self.y, list(left_values)
         for k in sorted(late):
             self.units[k].step(self.at[k], t, Fraction(t), self._courses(k, self.at[k], before))
         for k in late:
-            self.units[k].arrive()
+            self.units[k].arrive(at_break=at_break)
             self.at[k] = t
         self.y = y
         self.evaluate(t)

@@ -61,8 +61,8 @@ class Running(Protocol):
         """What happens at t, with the inputs as they are now; whether anything did. is_due: only what is due."""
         ...
 
-    def arrive(self) -> None:
-        """Stand at a communication point, before anything happens there."""
+    def arrive(self, *, at_break: bool) -> None:
+        """Stand at a communication point, before anything happens there. at_break: the diagram's inputs may bend."""
         return
 
     def bent(self, has_acted: bool) -> Collection[int]:
@@ -145,6 +145,7 @@ class PlanUnit(Running):
         self.seen = [not seen.isdisjoint(changed) for changed in changed_by(self.plan)]
         self.arrived: tuple[Any, ...] = ()
         self.arrived_u: list[float] = []
+        self.is_driven = False  # whether the diagram's inputs, which it reads, jump or bend now
 
     def start(self, t: float, stop: float | None) -> None:
         self._hold(t)
@@ -206,7 +207,7 @@ class PlanUnit(Running):
         before = engine.now.s, len(engine.events)
         has_crossed = engine.crossing
         self._hold(engine.t)
-        engine.changed, engine.recourses = True, self.u == self.arrived_u
+        engine.changed, engine.recourses = True, not self.is_driven and self.u == self.arrived_u
         with np.errstate(all="ignore"):
             engine.instant(is_start=not engine.steps and engine.left is None)
         engine.recourses = False
@@ -233,15 +234,16 @@ class PlanUnit(Running):
         happening += [first + i for i in engine.due_events]
         first += len(plan.events)
         if now.past is not None:
-            happening += [first + i for i in now.past.breaks_at(now.t, engine.scale)]
+            happening += [first + i for i in now.past.breaks_at(now.t)]
         return any(self.seen[k] for k in happening)
 
-    def arrive(self) -> None:
+    def arrive(self, *, at_break: bool) -> None:
         self.arrived, self.arrived_u = self._memory(), list(self.u)
+        self.is_driven = at_break and self.unit.reads_inputs
 
     def _memory(self) -> tuple[Any, ...]:
         engine, now = self.engine, self.engine.now
-        broken = [] if now.past is None else now.past.breaks_at(now.t, engine.scale)
+        broken = [] if now.past is None else now.past.breaks_at(now.t)
         return now.x.tolist(), now.d, now.s, broken, engine.instants.foreign.events
 
     def bent(self, has_acted: bool) -> Collection[int]:

@@ -142,7 +142,7 @@ class Model(RuntimeTables):
             shortest = min(history.delay for history in plan.histories) / 1.02
             longest = shortest if settings.step is not None else min(longest, shortest)
         setup.longest = longest
-        setup.scale = max([abs(float(start)), *(history.delay for history in plan.histories)])
+        setup.scale = plan.time_scale
         setup.end = math.nan if settings.stop is None else float(settings.stop)
         setup.start = float(start)
         setup.base_numerator, setup.base_denominator = plan.base.as_integer_ratio()

@@ -94,8 +94,7 @@ class ReferenceEngine:
         self._logged = self.compiled.program("logged", self.logged)
         self._remembered = self.compiled.program("remembered", [history.source for history in plan.histories])
         self.fixed = Grid.of(self.settings.start, self.settings.step) if self.settings.step is not None else None
-        # Times are computed from the start and from delays, whose rounding errors they carry along near 0.
-        self.scale = max([abs(float(self.settings.start)), *(history.delay for history in plan.histories)])
+        self.scale = plan.time_scale
         self.remembers_inputs = remembers_inputs(plan)
         self.failures = Failures(plan, self.compiled, self.instants, self._memory)
         self._clear()
@@ -167,7 +166,7 @@ class ReferenceEngine:
         """Stand where a saved run stood, with nothing recorded."""
         self._clear()
         rows, changed = standing(state, self.plan, self.inputs)
-        now = Snapshot.of_rows(rows, state.exact, self.plan.histories)
+        now = Snapshot.of_rows(rows, state.exact, self.plan)
         self.now, self.broken, self.has_begun = now, float(rows["broken"]), True
         self.segment = self.inputs.segment(max(now.t, self.broken))
         self.located = float(rows["located_t"]), rows["located"]
@@ -323,7 +322,7 @@ class ReferenceEngine:
         left = self.left or self._row() if has_left else None
         past = now.past
         if past is not None:
-            now = replace(now, past=past.after_breaks(now.t, self.scale))
+            now = replace(now, past=past.after_breaks(now.t))
         segment, broken, changed = self._inputs_now(now.t)
         hidden = self.instants.foreign.events
         self.instants.inputs_later = segment.at(now.t + self.instants.later)

@@ -56,10 +56,11 @@ class Past:
     1, and the values at th = 1, (6, m)) and the breaks (times and orders; 0: a jump, 1: a bend). known, broken: how
     many of them there are. open: whether the order of the last break is not known yet, as the part after it is not.
     passed: for each history the number of breaks that lie a delay ago or more. seen: the order of the break that the
-    instant now makes, if it is not a lower one by the signals themselves.
+    instant now makes, if it is not a lower one by the signals themselves. scale: of times, see Plan.
     """
 
     histories: tuple[History, ...]
+    scale: float
     store: Store = field(compare=False, repr=False)
     known: int
     broken: int
@@ -72,7 +73,7 @@ class Past:
         """Nothing but the start, which is a break; None where nothing is remembered."""
         if not plan.histories:
             return None
-        return cls(plan.histories, Store(breaks=[(t, 0)]), 0, 1, True, (0,) * len(plan.histories), 0)
+        return cls(plan.histories, plan.time_scale, Store(breaks=[(t, 0)]), 0, 1, True, (0,) * len(plan.histories), 0)
 
     def rows(self) -> dict[str, Array]:
         """Return the same as rows of a saved state."""
@@ -90,14 +91,14 @@ class Past:
         }
 
     @classmethod
-    def of_rows(cls, rows: Mapping[str, Array], histories: tuple[History, ...]) -> Past:
+    def of_rows(cls, rows: Mapping[str, Array], plan: Plan) -> Past:
         """Return the past of rows that `rows` gave."""
         breaks = list(zip(rows["past.breaks"].tolist(), rows["past.orders"].tolist(), strict=True))
         parts = list(rows["past.parts"].copy())
         store = Store(rows["past.starts"].tolist(), rows["past.ends"].tolist(), parts, breaks)
         passed = tuple(rows["past.passed"].tolist())
         is_open, seen = bool(rows["past.open"]), int(rows["past.seen"])
-        return cls(histories, store, len(parts), len(breaks), is_open, passed, seen)
+        return cls(plan.histories, plan.time_scale, store, len(parts), len(breaks), is_open, passed, seen)
 
     @property
     def longest_step(self) -> float:
@@ -113,12 +114,13 @@ class Past:
         if passed == 0:
             return history.before
         begin = store.breaks[passed - 1][0]
-        then = max(t - delay, begin)
+        at_begin = self._is_due(t, begin + delay)
+        then = begin if at_begin else max(t - delay, begin)
         k = bisect_right(store.starts, then, 0, self.known) - 1
-        if passed < self.broken and (store.breaks[passed][0] <= then or store.breaks[passed][0] + delay <= t):
+        if passed < self.broken and self._is_due(store.breaks[passed][0] + delay, t):
             then = store.breaks[passed][0]
             k = bisect_left(store.starts, then, 0, self.known) - 1  # the part that ends there
-        elif t <= begin + delay and k > 0 and store.starts[k] == begin:
+        elif at_begin and k > 0 and store.starts[k] == begin:
             # What does not jump has one value there, and two polynomials that differ in its last bits.
             before, after = float(store.parts[k - 1][5, i]), float(store.parts[k][0, i])
             if abs(after - before) <= _JUMP * max(abs(before), abs(after)):
@@ -139,27 +141,27 @@ class Past:
         ]
         return min(times, default=math.inf)
 
-    def breaks_at(self, t: float, scale: float) -> list[int]:
+    def _is_due(self, due: float, t: float) -> bool:
+        """Return whether t has come to `due`, but for rounding: sums of many delays round off by more than 4 ulp."""
+        return due <= t or within_ulps(due, t, self.scale, 64)
+
+    def breaks_at(self, t: float) -> list[int]:
         """Return the histories in which a jump or a bend arrives at t that was more than the end of a `COURSE`."""
         return [
             i
             for i, (passed, history) in enumerate(zip(self.passed, self.histories, strict=True))
             if passed < self.broken
-            and within_ulps(self.store.breaks[passed][0] + history.delay, t, scale, 64)
+            and self._is_due(self.store.breaks[passed][0] + history.delay, t)
             and self.store.breaks[passed][1] < COURSE
         ]
 
-    def after_breaks(self, t: float, scale: float) -> Past:
-        """The past as it is seen from the instant at t on; itself where no history breaks there.
-
-        scale: the size of times whose rounding errors may stand between a break and t.
-        """
+    def after_breaks(self, t: float) -> Past:
+        """The past as it is seen from the instant at t on; itself where no history breaks there."""
         passed, seen = list(self.passed), self.seen
         for i, history in enumerate(self.histories):
             while passed[i] < self.broken:
                 time, order = self.store.breaks[passed[i]]
-                due = time + history.delay
-                if due > t and not within_ulps(due, t, scale, 64):  # sums of many delays round off by more than 4
+                if not self._is_due(time + history.delay, t):
                     break
                 if history.echoes:
                     # What is integrated is smoother by one order.

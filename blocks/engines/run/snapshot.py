@@ -9,7 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ...compile.plan import History
+from ...compile.plan import Plan
 from ...text.arrays import Array, frozen
 from .history import Past
 
@@ -90,7 +90,7 @@ class Snapshot:
         }
 
     @classmethod
-    def of_rows(cls, rows: Mapping[str, Array], exact: Fraction | None, histories: tuple[History, ...]) -> Snapshot:
+    def of_rows(cls, rows: Mapping[str, Array], exact: Fraction | None, plan: Plan) -> Snapshot:
         """Return the snapshot of rows that `rows` gave."""
         hits, calm, since = rows["stiffness"].tolist()
         first, carried = (frozen(rows[name].copy()) if name in rows else None for name in ("first", "carried"))
@@ -98,6 +98,6 @@ class Snapshot:
         d, s, z, ticks, events, own = (
             tuple(rows[name].tolist()) for name in ("d", "s", "z", "ticks", "events", "own")
         )
-        past = Past.of_rows(rows, histories) if histories else None
+        past = Past.of_rows(rows, plan) if plan.histories else None
         x = frozen(rows["x"].copy())
         return cls(float(rows["t"]), exact, x, d, s, ticks, events, own, memory, int(rows["fixed"]), past, z)

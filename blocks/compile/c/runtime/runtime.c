@@ -294,9 +294,11 @@ static double delayed(const BlocksSim *s, int i, double t)
     const BlocksHistory *history = &s->setup->histories[i];
     int64_t passed = past->passed[i], n = s->model->nh;
     if (passed == 0) return history->before;
-    double begin = past->breaks[passed - 1], then = fmax(t - history->delay, begin);
+    double begin = past->breaks[passed - 1], scale = s->setup->scale;
+    int at_begin = blocks_is_due_at(t, begin + history->delay, scale);
+    double then = at_begin ? begin : fmax(t - history->delay, begin);
     int64_t k = last_at(past->starts, past->known, then);
-    if (passed < past->broken && (past->breaks[passed] <= then || past->breaks[passed] + history->delay <= t)) {
+    if (passed < past->broken && blocks_is_due_at(past->breaks[passed] + history->delay, t, scale)) {
         then = past->breaks[passed];
         int64_t low = 0, high = past->known; /* the part that ends there */
         while (low < high) {
@@ -305,7 +307,7 @@ static double delayed(const BlocksSim *s, int i, double t)
             else high = middle;
         }
         k = low - 1;
-    } else if (t <= begin + history->delay && k > 0 && past->starts[k] == begin) {
+    } else if (at_begin && k > 0 && past->starts[k] == begin) {
         /* What does not jump has one value there, and two polynomials that differ in its last bits. */
         double before = past->parts[((k - 1) * 6 + 5) * n + i], after = past->parts[k * 6 * n + i];
         if (fabs(after - before) <= JUMP * fmax(fabs(before), fabs(after))) return before;
@@ -370,8 +372,7 @@ static int pass_breaks(BlocksSim *s, double t)
     for (int i = 0; i < s->model->nh; i++) {
         while (past->passed[i] < past->broken) {
             double due = past->breaks[past->passed[i]] + s->setup->histories[i].delay;
-            double most = fmax(fmax(fabs(due), fabs(t)), s->setup->scale);
-            if (due > t && !(fabs(due - t) <= 64 * blocks_ulp(most))) break;
+            if (!blocks_is_due_at(due, t, s->setup->scale)) break;
             int order = past->orders[past->passed[i]] + 1;
             if (s->setup->histories[i].echoes && order < past->seen) past->seen = order;
             past->passed[i]++;

@@ -544,6 +544,15 @@ BLOCKS_INLINE int blocks_within_ulps(double a, double b, double scale)
     return fabs(a - b) <= 4 * blocks_ulp(most);
 }
 
+/* Whether t has come to `due`, the time of a break and a delay, but for rounding: sums of many delays round off by more
+   than 4 ulp. */
+BLOCKS_INLINE int blocks_is_due_at(double due, double t, double scale)
+{
+    if (due <= t) return 1;
+    double most = blocks_larger(blocks_larger(fabs(due), fabs(t)), scale);
+    return due - t <= 1e-12 * most && due - t <= 64 * blocks_ulp(most);
+}
+
 /* Whether a row at `at` is that of an instant at t: where jumps have no rows of their own, a time has one value. */
 BLOCKS_INLINE int blocks_joins(const BlocksSim *s, double at, double t)
 {

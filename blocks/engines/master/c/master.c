@@ -394,7 +394,7 @@ static int is_seen(const MasterUnit *u)
         const BlocksPast *past = &s->past;
         if (!histories[i] || past->passed[i] >= past->broken || past->orders[past->passed[i]] >= BLOCKS_COURSE) continue;
         double due = past->breaks[past->passed[i]] + s->setup->histories[i].delay;
-        if (fabs(due - s->t) <= 64 * blocks_ulp(fmax(fmax(fabs(due), fabs(s->t)), s->setup->scale))) return 1;
+        if (blocks_is_due_at(due, s->t, s->setup->scale)) return 1;
     }
     return 0;
 }
@@ -632,8 +632,8 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
     }
 }
 
-/* What happens in a unit at its time, with its inputs as they are then. */
-static int instant_unit(Master *m, MasterUnit *u, int is_first)
+/* What happens in a unit at its time, with its inputs as they are then. at_break: those of the diagram jump or bend. */
+static int instant_unit(Master *m, MasterUnit *u, int is_first, int at_break)
 {
     take_inputs(m, u, m->t);
     if (u->kind == MASTER_NATIVE) {
@@ -645,7 +645,8 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
         if (has_crossed) memcpy(u->counted + s->setup->ncauses, s->memory.s, ns * sizeof(double));
         native_inputs(u, 0);
         s->outstanding = s->changed = 1;
-        s->recourses = !u->ninputs || !memcmp(u->inputs, u->given + u->noutputs, (size_t)u->ninputs * sizeof(double));
+        int is_driven = at_break && u->reads_inputs;
+        s->recourses = !is_driven && (!u->ninputs || !memcmp(u->inputs, u->given + u->noutputs, (size_t)u->ninputs * sizeof(double)));
         if (u->remembers_inputs) s->recourses *= 2;
         int is_lost = CALL(OfSim, u, CALL_settle)(s);
         s->recourses = 0;
@@ -974,7 +975,7 @@ static int catch_up(Master *m, MasterUnit *u, double t1)
     return 0;
 }
 
-static int instants(Master *m, const double *left_y)
+static int instants(Master *m, const double *left_y, int at_break)
 {
     double t = m->t;
     int n = m->nunits, any = 0;
@@ -1000,7 +1001,7 @@ static int instants(Master *m, const double *left_y)
         for (int o = 0; o < n; o++) {
             MasterUnit *u = &m->units[m->at_instants[o]];
             if (!m->acting[m->at_instants[o]]) continue;
-            if (instant_unit(m, u, pass == 0)) return 1;
+            if (instant_unit(m, u, pass == 0, at_break)) return 1;
             if (several > 1 && u->is_bent && evaluate(m, t)) return 1;
         }
         m->instants++;
@@ -1089,7 +1090,7 @@ static int arrived(Master *m, int *calm)
     if (recorded(m, m->left_row)) return 1;
     memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
     stay_behind(m);
-    if (instants(m, m->left_y)) return 1;
+    if (instants(m, m->left_y, at_break)) return 1;
     /* What jumps, and what comes out of units where something happened or that hear of a jump, goes on otherwise. */
     int jumped = 0, is_new = 0, is_again = 0, is_late = 0;
     for (int g = 0; g < m->nelements; g++) jumped |= m->renewed[g] = (uint8_t)jumped_now(m, g);
@@ -1591,7 +1592,7 @@ int master_changed(Master *m, int is_input)
     if (recorded(m, m->left_row)) return MASTER_FAILED;
     stay_behind(m);
     take_segment(m, m->t);
-    if (evaluate(m, m->t) || instants(m, m->left_y)) return MASTER_FAILED;
+    if (evaluate(m, m->t) || instants(m, m->left_y, is_input)) return MASTER_FAILED;
     memset(m->renewed, 1, (size_t)m->nelements);
     keep_waiting(m, is_input);
     for (int g = 0; g < m->nelements; g++)
