@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import json
 import math
 import re
 import shutil
@@ -1087,6 +1088,46 @@ def test_an_fmu_whose_input_jumps_still_finds_what_fires_ever_faster(tmp_path: P
         driven(fmu(tmp_path / "bounces.fmu", "CS")).run(stop=5.0, every=0.1, engine=engine, master={"step": 0.01})
     # It would rest at sqrt(2 h/g) (1 + e)/(1 - e).
     assert caught.value.results.t[-1] == pytest.approx(math.sqrt(2 / 9.81) * 1.7 / 0.3, abs=0.1)
+
+
+PLANTS: dict[str, Callable[[Path], tuple[Path, str]]] = {
+    "ME": lambda folder: (MOTORS[3], "ME"),
+    "FMI 2": lambda folder: (MOTORS[2], "CS"),
+    "FMI 3": lambda folder: (MOTORS[3], "CS"),
+    "event mode": lambda folder: (motor_with_events(folder), "CS"),
+}
+
+
+def motor_with_events(folder: Path) -> Path:
+    """Return the motor beside a relay, whose side changes in event mode."""
+    d = Diagram("motor")
+    motor = d.add("motor", PMDCMotor())
+    d.wire(motor.v, d.input("v", unit="V"))
+    d.wire(motor.tau, d.input("tau", unit="N.m", default=0.0))
+    d.wire(d.add("relay", Relay(on_at=1.0, off_at=-1.0, unit="rad/s")).u, motor.omega)
+    for name in ("omega", "i"):
+        d.output(name, f"motor.{name}")
+    d.output("is_fast", "relay.y")
+    d.export(folder / "motor.fmu", fmi=3)
+    return folder / "motor.fmu"
+
+
+@each_engine
+@pytest.mark.parametrize("lower", [-12.0, 0.0])
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_controller_reaches_and_leaves_its_limits_beside_an_fmu(
+    tmp_path: Path, plant: str, lower: float, engine: str
+) -> None:
+    """At a limit a signal jumps by a rounding error only: no course begins anew there, and nothing chatters."""
+    value = Diagram.load(ROOT / "diagrams" / "motor_pid.json").to_json()
+    value["blocks"]["control"]["parameters"]["lower"] = lower
+    d = Diagram.from_json(json.dumps(value))
+    exact = d.run(rtol=1e-9, atol=1e-11)
+    path, kind = PLANTS[plant](tmp_path)
+    d.swap("motor", fmu(path, kind))
+    results = d.run(engine=engine, trust=tmp_path)
+    error = np.abs(results["motor.omega"] - exact["motor.omega"]).max()
+    assert error < {"ME": 1e-5, "CS": 3e-3}[kind]  # CS: 7e-4 with steps of 5 ms, 1.6e-4 of 2.5 ms
 
 
 def test_rows_are_freed_by_the_library_that_allocated_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,7 @@ from ..run.recording import Recording
 from ..run.saved_state import State
 from .exchange import Exchange, Point
 from .growth import Growth, circles, warning
-from .limits import CLOSE, MOST_PASSES, ROUGH
+from .limits import CLOSE, JUMPED, MOST_PASSES, ROUGH
 from .master_measures import measured
 from .policy import Policy
 from .step_control import StepControl
@@ -67,6 +67,7 @@ class CoupledRun(Exchange, ABC):
         self.broken = self.t
         self.control = StepControl()
         self.fresh = 0  # so many steps since something jumped
+        self.sizes = [0.0] * len(coupling.elements)  # the largest that each element was
         self.set_aside: dict[int, Point] = {}  # past points that closer ones have replaced, by element
         self.end = math.nan if settings.stop is None else float(settings.stop)
         self.waiting: dict[int, list[Course]] = {}  # courses of units that cannot stop where their inputs jumped
@@ -199,7 +200,8 @@ class CoupledRun(Exchange, ABC):
         is_set = at_break or set_behind is not None
         bent, acted = self._act(left_values, before, at_break=is_set)
         here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
-        jumps = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
+        moved = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
+        jumps = moved if left_values is None else {g for g in moved if self._has_jumped(g, left_values[g])}
         # Elements that jump, or follow what happened in their unit or an input that jumps, take a new course.
         renewed = jumps | (bent & set(here))
         jumped = {Reference("y", g) for g in jumps}
@@ -211,6 +213,7 @@ class CoupledRun(Exchange, ABC):
         is_new = is_late = False
         for g in here:
             unit = coupling.elements[g].unit
+            self.sizes[g] = max(self.sizes[g], abs(self.y[g]))
             is_followed = bool(coupling.readers[g] and not coupling.elements[g].held)
             if g in renewed:
                 self.past[g] = [(t, self.y[g])]
@@ -220,9 +223,15 @@ class CoupledRun(Exchange, ABC):
                 is_late = is_late or (is_followed and unit in acted)
         self.fresh = 0 if is_new else self.fresh + (not is_late)
         self._record(left, is_start=is_start)
-        if jumps or is_start or at_break:
+        if moved or is_start or at_break:
             self._measure(1.0)
         return not is_new
+
+    def _has_jumped(self, g: int, before: float) -> bool:
+        """Return whether an element, which has another value than before the instant, differs by more than rounding."""
+        now = self.y[g]
+        size = max(self.sizes[g], abs(now), abs(before), 1e-3)
+        return self.plan.elements[g].held or not abs(now - before) <= JUMPED * size
 
     def _add_point(self, g: int, apart: float) -> bool:
         """Add the present value to the past points of an element; return whether it replaces the last one.
@@ -309,8 +318,10 @@ class CoupledRun(Exchange, ABC):
             passes += 1
             self.evaluate(t)
             changed = [g for g, (a, b) in enumerate(zip(known, self.y, strict=True)) if a != b]
+            jumped = {g for g in changed if self._has_jumped(g, known[g])}
+            # An FMU would take a change by rounding for an event. Blocks go on from the values that they have here.
+            readers = {k for g in changed for k in coupling.readers[g] if g in jumped or coupling.units[k].plan}
             # A unit that reads a jump and lags behind comes here with its old inputs.
-            readers = {k for g in changed for k in coupling.readers[g]}
             late = {k for k in readers if self.at[k] < t and not coupling.units[k].is_rigid}
             if late and left_values is not None and before is not None:
                 self._catch_up(late, left_values, before, at_break=at_break)

@@ -233,7 +233,8 @@ class NativeMaster(CoupledRun):
         m.needs_past = int(m.order > 0 or m.is_sequential or m.is_controlled)
         m.has_instants = int(any(unit.acts for unit in coupling.units))
         m.has_rigid = int(any(unit.is_rigid for unit in coupling.units))
-        m.needs_past |= m.has_rigid & (m.has_instants | int(bool(self.inputs.tracks)))  # to know what its inputs were
+        # To know what jumps, and what the inputs of rigid units were.
+        m.needs_past |= m.has_instants | (m.has_rigid & int(bool(self.inputs.tracks)))
         m.is_uniform = int(len({unit.step for unit in coupling.units}) == 1)
         m.y = self._array(self.y)
         for name, size in (("left_y", n), ("kept_y", 3 * n), ("guess", n), ("ends", n)):
@@ -243,7 +244,7 @@ class NativeMaster(CoupledRun):
         self._c_stages(m)
         m.ordered, m.at_instants = self._array(coupling.order, np.int32), self._array(coupling.at_instants, np.int32)
         m.has_unsure = int(bool(self.unsure))
-        past = [MasterPast(n=1, t=(self.t,), y=(y,)) for y in self.y]
+        past = [MasterPast(n=1, t=(self.t,), y=(y,), size=abs(y)) for y in self.y]
         m.past, m.old, m.kept_past = (self._structures(MasterPast, past) for _ in range(3))
         self._c_elements(m)
         m.columns, m.ncolumns = self._links(coupling.columns), len(coupling.columns)

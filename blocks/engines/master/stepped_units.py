@@ -195,6 +195,8 @@ class PlanUnit(Running):
                 if not engine.outstanding:
                     engine.step(*engine.next_instant(end))
                 elif self._is_seen():
+                    # Where it goes back and comes here again, a short step may not see what lies behind a crossing.
+                    engine.sure = engine.located
                     break
                 else:
                     engine.instant()

@@ -124,6 +124,7 @@ class ReferenceEngine:
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
         self.sloped: tuple[Snapshot | None, Array] = (None, np.empty(0))  # where the Jacobian is known, and what it is
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
+        self.sure = _UNKNOWN  # the same of a longer step than the one at hand, from which a master went back
         self.touched = _UNKNOWN  # a time, and the values of crossings that touch 0 there; NaN of all others
         self.stiff: stiff.Radau | None = None  # the stiff method, and the factors that it has
         self.crossed, self.pace, self.measures = CrossingWatch(plan, self.instants), ProgressWatch(plan), Measures(plan)
@@ -757,7 +758,8 @@ class ReferenceEngine:
         sides, located = np.array(now.s) > 0, self.located
         usual = now.memory.h if self.settings.step is None else float(self.settings.step)
         resolution = 4 * math.ulp(max(abs(now.t), abs(t1))) / h
-        touches = Touches(sides, on_trial, resolution, usual / h, is_closed=bool(self.plan.foreign))
+        sure = self.sure[1] >= 0 if self.sure[0] == t1 else np.zeros(len(sides), dtype=bool)
+        touches = Touches(sides, on_trial, resolution, usual / h, sure, is_closed=bool(self.plan.foreign))
         change: event_location.Found | None = None
         first, first_length, was_first, is_whole = None, 1.0, False, True
         for part in self.inside.parts("crossings", now, dense, now.t, t1, self._crossing_values, x1=x1, first=before):

@@ -38,21 +38,29 @@ class Touches:
     """Where in one step the sides change, and where signals only touch 0.
 
     sides: the latched ones. evaluate: crossing values at a place of the step, which goes from 0 to 1. resolution: the
-    distance of times that can be told apart. usual: the length of a usual step, by that of this one. is_closed: whether
-    nothing can be evaluated behind the end.
+    distance of times that can be told apart. usual: the length of a usual step, by that of this one. sure: the sides
+    whose change at the end is no touch, as a longer step has found it. is_closed: whether nothing can be evaluated
+    behind the end.
     """
 
     def __init__(
-        self, sides: Array, evaluate: Callable[[float], Array], resolution: float, usual: float, *, is_closed: bool
+        self,
+        sides: Array,
+        evaluate: Callable[[float], Array],
+        resolution: float,
+        usual: float,
+        sure: Array,
+        *,
+        is_closed: bool,
     ) -> None:
         self.sides, self.evaluate, self.resolution, self.usual = sides, evaluate, resolution, usual
         self.end = 1.0 if is_closed else 1.0 + _SHORT * max(1.0, usual)
         self.until = np.full(len(sides), -math.inf)  # up to where a change of each side is a touch
-        self.judged = np.zeros(len(sides), dtype=bool)  # at the end of a step that a crossing has cut
+        self.sure, self.judged = sure, sure.copy()  # judged: at the end of a step that a crossing has cut
 
     def begin(self, values: Array, reach: float) -> None:
         """Let sides that have changed just before their values do, as they joined an instant, stay up to a place."""
-        self.until[(values >= 0) != self.sides] = reach
+        self.until[((values >= 0) != self.sides) & ~self.sure] = reach
 
     def enter(self, table: Array, length: float) -> None:
         """Go on to a part of the step, which has the values (5, m) and is `length` long."""
@@ -72,12 +80,12 @@ class Touches:
         doubtful = (np.abs(change.values) <= _SMALL * size) | (self.length < _SHORT * self.usual)
         for j in np.nonzero(~doubtful)[0]:
             doubtful[j] = _is_rough(table[:, j], float(size[j]))
-        doubtful &= np.isfinite(size)  # else it is a pole
+        doubtful &= np.isfinite(size) & ~self.sure  # else it is a pole
         suspects = np.nonzero(doubtful & self.changed(change.high, change.values))[0]
         touches = [self._is_touch(int(j), change.low, change.high) for j in suspects]
         if change.low == 0.0:
             # Some begin beyond their side, where a step before has left them as touches.
-            begin = ((table[0] >= 0) != self.sides) & (self.until < self.resolution)
+            begin = ((table[0] >= 0) != self.sides) & (self.until < self.resolution) & ~self.sure
             begin &= ~self.changed(change.high, change.values)
             touches += [self._is_touch(int(j), 0.0, 0.0) for j in np.nonzero(begin)[0]]
         return any(touches)

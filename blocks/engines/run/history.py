@@ -142,7 +142,7 @@ class Past:
         return min(times, default=math.inf)
 
     def _is_due(self, due: float, t: float) -> bool:
-        """Return whether t has come to `due`, but for rounding: sums of many delays round off by more than 4 ulp."""
+        """Return whether t has reached `due`, but for rounding: sums of many delays round off by more than 4 ulp."""
         return due <= t or within_ulps(due, t, self.scale, 64)
 
     def breaks_at(self, t: float) -> list[int]:

@@ -1501,6 +1501,9 @@ BLOCKS_INLINE int has_changed(const BlocksSim *s, int j, double value, double th
     return (value >= 0) != (s->memory.s[j] > 0.0) && !(theta <= s->until[j]);
 }
 
+/* Whether a longer step, which saw more of what lies behind t1, found a crossing there. */
+BLOCKS_INLINE int is_sure(const BlocksSim *s, int j, double t1) { return s->sure_t == t1 && s->sure[j] >= 0.0; }
+
 HOT static int any_changed_at(const BlocksSim *s, const double *values, double theta)
 {
     for (int j = 0; j < s->model->ns; j++)
@@ -1685,6 +1688,7 @@ static int finds_touch(Parts *p, double low, double high)
     BlocksSim *s = p->s;
     int n = s->model->ns, any = 0, is_short = (p->end - p->begin) * p->h < SHORT * usual_step(s);
     for (int j = 0; j < n; j++) {
+        if (is_sure(s, j, p->t1)) continue;
         if (!has_changed(s, j, s->distances[j], high)) {
             /* It begins beyond its side, where a step before has left it as a touch. */
             if (low == 0.0 && (p->values[j] >= 0) != (s->memory.s[j] > 0.0) && s->until[j] < 4 * blocks_ulp(p->t0) / p->h)
@@ -1804,7 +1808,7 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
     while (!found && (got = next_part(&p)) > 0) {
         /* Sides that have changed just before their values do, as they joined an instant, stay. */
         for (int j = 0; j < n && is_first; j++)
-            if ((p.values[j] >= 0) != (s->memory.s[j] > 0.0)) s->until[j] = 3.5 * blocks_ulp(s->t) / h;
+            if ((p.values[j] >= 0) != (s->memory.s[j] > 0.0) && !is_sure(s, j, p.t1)) s->until[j] = 3.5 * blocks_ulp(s->t) / h;
         do found = first_change(&p, &low, &high);
         while (found == 1 && finds_touch(&p, low, high));
         if (found == -1) return no_memory(s);
@@ -1817,7 +1821,7 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
     if (p.end == 1.0) memcpy(after, p.values + 4 * n, (size_t)n * sizeof(double));
     else if (crossing_values(s, *t1, s->x1, after)) return BLOCKS_FAILED;
     if (found) {
-        for (int j = 0; j < n; j++) s->changed_sides[j] = has_changed(s, j, s->distances[j], high) != 0;
+        for (int j = 0; j < n; j++) s->changed_sides[j] = has_changed(s, j, s->distances[j], high) || is_sure(s, j, p.t1);
         if (!s->weighed) {
             /* The stages of this step are lost with the next one. */
             for (int k = BLOCKS_CROSSINGS + 1; k < BLOCKS_LOOKS; k++)
@@ -3303,7 +3307,7 @@ static void list_memory(BlocksSim *s)
         ROW("p", memory.p, model->np, saved), ROW(NULL, memory.u, nu, saved), ROW(NULL, memory.h, nh, saved),
         ROW("z", memory.z, nz, both), SCRATCH(memory.k, nr), SCRATCH(memory.q, model->nq), SCRATCH(memory.v, model->nv),
         SCRATCH(memory.w, model->nw), ROW("events", events, ne, both), ENTRY('d', "own", own, ne, both | reset, NAN),
-        ROW("located", located, ns, both), ROW(NULL, sides, ns, saved), ROW(NULL, touched, ns, saved), SCRATCH(until, ns),
+        ROW("located", located, ns, both), ROW(NULL, sides, ns, saved), ROW(NULL, touched, ns, saved), SCRATCH(until, ns), SCRATCH(sure, ns),
         ENTRY('d', "fired", fired, ns, both | reset, -INFINITY), ROW("crossed", crossed, ns ? CROWD : 0, saved),
         SCRATCH(left, nl), ROW(NULL, before, nx + ns + nm, saved), SCRATCH(latched, ns), SCRATCH(x1, nx),
         ROW("known", known, 1 + 6 * nm, 0), ROW(NULL, base, nu, saved), ROW(NULL, aim, nu, saved), ROW(NULL, begin, nu, saved),
@@ -3348,7 +3352,7 @@ void blocks_reset(BlocksSim *s)
         else for (int64_t i = 0; i < e->n; i++) ((double *)address_of(e))[i] = e->begin;
     }
     s->last_row = NULL;
-    s->t = s->located_t = s->sides_t = s->touched_t = s->stiff_from = s->known[0] = NAN;
+    s->t = s->located_t = s->sure_t = s->sides_t = s->touched_t = s->stiff_from = s->known[0] = NAN;
     s->error = 1e-4;
     s->fixed = 1;
     s->paced = -INFINITY;

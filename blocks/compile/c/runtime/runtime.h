@@ -324,6 +324,7 @@ struct BlocksSim {
     int64_t row;         /* number of the next row of the recording grid */
     int32_t keeps_past;  /* set by a master, which goes back in time, and calls blocks_forget itself */
     int32_t recourses;   /* set by a master: inputs go on by another extrapolation, without a jump; 2: delays remember them */
+    double sure_t;       /* set by a master: where a longer step found crossings, those of `sure` >= 0; they are no touches */
     int32_t has_left, chattered_before;
     double paced_before; /* paced and chatters before the last look */
     int32_t failure, culprit;
@@ -335,6 +336,7 @@ struct BlocksSim {
     int64_t *blamed;              /* (nx) rejected steps in which the error of a state was the largest */
     double *events, *own;         /* (nevents) */
     double *located, *sides;      /* (ns) distances beyond, and values at sides_t */
+    double *sure;                 /* (ns) `located` as it was at sure_t */
     double *unprojected;          /* (nx + nd) the end of a step in which a side has changed, before projections */
     double *touched, *until;      /* (ns) values at touched_t of what touches 0 there, else NaN; up to where it does, of a step */
     double *fired;                /* (ns) when each crossing fired last; -inf: never */
@@ -544,7 +546,7 @@ BLOCKS_INLINE int blocks_within_ulps(double a, double b, double scale)
     return fabs(a - b) <= 4 * blocks_ulp(most);
 }
 
-/* Whether t has come to `due`, the time of a break and a delay, but for rounding: sums of many delays round off by more
+/* Whether t has reached `due`, the time of a break and a delay, but for rounding: sums of many delays round off by more
    than 4 ulp. */
 BLOCKS_INLINE int blocks_is_due_at(double due, double t, double scale)
 {

@@ -170,6 +170,7 @@ static void remember(MasterPast *p, double t, double y)
 static int add_point(MasterPast *p, double t, double y, double apart)
 {
     int is_close = p->n && t - p->t[0] < apart;
+    p->size = fmax(p->size, fabs(y));
     if (is_close && (!p->has_aside || t - p->aside_t < apart)) {
         if (!p->has_aside && p->t[0] < t) p->aside_t = p->t[0], p->aside_y = p->y[0], p->has_aside = 1;
         p->t[0] = t, p->y[0] = y;
@@ -185,6 +186,7 @@ static void begin_anew(MasterPast *p, double t, double y)
 {
     p->n = 1, p->has_aside = 0;
     p->t[0] = t, p->y[0] = y;
+    p->size = fmax(p->size, fabs(y));
 }
 
 static double input_at(const Master *m, int place, double t)
@@ -367,8 +369,17 @@ void master_intermediate(void *environment, double t, int set_requested, int get
     }
 }
 
-/* Whether an element has jumped in the instant now. */
-static int jumped_now(const Master *m, int g) { return m->units[m->elements[g].unit].t == m->t && m->y[g] != m->left_y[g]; }
+/* Whether an element has another value since the instant now. */
+static int moved_now(const Master *m, int g) { return m->units[m->elements[g].unit].t == m->t && m->y[g] != m->left_y[g]; }
+
+/* Whether an element, which had another value before, differs by more than rounding. */
+static int has_jumped(const Master *m, int g, double before)
+{
+    double now = m->y[g], size = fmax(fmax(m->past[g].size, 1e-3), fmax(fabs(now), fabs(before)));
+    return m->elements[g].is_held || !(fabs(now - before) <= JUMPED * size);
+}
+
+static int jumped_now(const Master *m, int g) { return moved_now(m, g) && has_jumped(m, g, m->left_y[g]); }
 
 /* Whether what happens now in a native unit can be seen outside; see Coupling.seen. */
 static int is_seen(const MasterUnit *u)
@@ -482,6 +493,9 @@ static int step_native(Master *m, MasterUnit *u, double t1)
         } else if (is_seen(u)) {
             u->reached = s->t;
             u->is_due = 1;
+            /* Where it goes back and comes here again, a short step may not see that a signal goes on behind a crossing. */
+            s->sure_t = s->located_t;
+            memcpy(s->sure, s->located, (size_t)s->model->ns * sizeof(double));
             return 0;
         } else if (CALL(OfSim, u, CALL_settle)(s)) {
             return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
@@ -1011,8 +1025,11 @@ static int instants(Master *m, const double *left_y, int at_break)
         int late = 0;
         for (int g = 0; g < m->nelements; g++) {
             if (m->guess[g] == m->y[g]) continue;
+            int jumped = has_jumped(m, g, m->guess[g]);
             for (int i = m->elements[g].first_reader; i < m->elements[g + 1].first_reader; i++) {
                 int k = m->readers[i];
+                /* An FMU would take a change by rounding for an event. Blocks go on from the values that they have here. */
+                if (!jumped && m->units[k].kind != MASTER_NATIVE) continue;
                 if (m->units[k].t < t) late = m->acting[k] = !m->units[k].is_rigid || late;
                 else if (m->units[k].t == t && m->units[k].has_instants) any = m->acting[k] = 1;
             }
@@ -1092,8 +1109,8 @@ static int arrived(Master *m, int *calm)
     stay_behind(m);
     if (instants(m, m->left_y, at_break)) return 1;
     /* What jumps, and what comes out of units where something happened or that hear of a jump, goes on otherwise. */
-    int jumped = 0, is_new = 0, is_again = 0, is_late = 0;
-    for (int g = 0; g < m->nelements; g++) jumped |= m->renewed[g] = (uint8_t)jumped_now(m, g);
+    int any_moved = 0, is_new = 0, is_again = 0, is_late = 0;
+    for (int g = 0; g < m->nelements; g++) any_moved |= moved_now(m, g), m->renewed[g] = (uint8_t)jumped_now(m, g);
     for (int k = 0; k < m->nunits; k++)
         if (m->units[k].t == t) renew(m, &m->units[k], at_break);
     keep_waiting(m, at_break);
@@ -1111,7 +1128,7 @@ static int arrived(Master *m, int *calm)
         }
     }
     m->fresh = is_new ? 0 : m->fresh + !is_late;
-    if ((jumped || at_break) && measure(m, 1.0)) return 1;
+    if ((any_moved || at_break) && measure(m, 1.0)) return 1;
     *calm = !is_again;
     return record(m, m->left_row);
 }

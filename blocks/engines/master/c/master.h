@@ -123,10 +123,11 @@ typedef struct {
     double *work; /* (n (n + 5)) */
 } MasterLoop;
 
-/* aside: a point that a closer one has replaced; it comes back once a point lies far enough from it. */
+/* aside: a point that a closer one has replaced; it comes back once a point lies far enough from it. size: the largest that
+   the element was. */
 typedef struct {
     int32_t n, has_aside;
-    double t[3], y[3], aside_t, aside_y;
+    double t[3], y[3], aside_t, aside_y, size;
 } MasterPast;
 
 /* An element of a circle of units that is watched: see growth.py. */
