@@ -99,8 +99,11 @@ class Expression:
 _SIGNS = {"+": "add", "-": "sub", "*": "mul", "/": "div", "**": "pow", "abs": "fabs"}
 RELATIONS = ("<", "<=", ">", ">=", "==", "!=")
 """The relations of two numbers."""
-FUNCTIONS = ("abs", "acos", "asin", "atan", "atan2", "cos", "exp", "log", "max", "min", "sin", "sqrt", "tan", "tanh")
-"""The functions that an expression may call: log is the natural logarithm, angles are in rad."""
+FUNCTIONS = ("abs", "acos", "asin", "atan", "atan2", "cos", "exp", "log", "max", "min", "mod", "sin", "sqrt", "tan",
+             "tanh")  # fmt: skip
+"""The functions that an expression may call: log is the natural logarithm, mod(x, w) = x - w floor(x/w), angles are in
+rad.
+"""
 
 
 def exact_decimal(x: float) -> Fraction:
@@ -148,6 +151,7 @@ _EXACT: dict[str, Callable[..., Fraction | None]] = {
     # The float of b may differ from 0 by a rounding where b is exactly 0.
     **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": lambda a, b: a / b if b else None},
     **{"**": _exact_power, "neg": operator.neg, "abs": abs, "min": min, "max": max},
+    **{"mod": lambda a, b: a % b if b else None},
 }
 
 _DOMAINS = {
@@ -205,7 +209,7 @@ def _computed(text: str, step: PostfixStep, operands: list[Scalar]) -> Scalar:
     numbers = [operand.value for operand in operands]
     what = ""
     try:
-        value = float(OPERATIONS[step.op].value(*numbers))
+        value = float(operator.mod(*numbers) if step.word == "mod" else OPERATIONS[step.op].value(*numbers))
         if not math.isfinite(value):
             what = "overflow"
     except ZeroDivisionError:
@@ -456,8 +460,11 @@ class _ExpressionParser:
             if word in ("min", "max") and count > 1:
                 self.steps.append(PostfixStep(word, column, 2))
         self._close(bracket)
-        takes, holds = {"min": ("two or more arguments", count >= 2), "max": ("two or more arguments", count >= 2),
-                        "atan2": ("two arguments", count == 2)}.get(word, ("one argument", count == 1))  # fmt: skip
+        takes, holds = "one argument", count == 1
+        if word in ("min", "max"):
+            takes, holds = "two or more arguments", count >= 2
+        elif word in ("atan2", "mod"):
+            takes, holds = "two arguments", count == 2
         if not holds:
             self.column = column
             raise self._wrong(f"{word} takes {takes}, not {count}", "Separate arguments with commas.")

@@ -1,6 +1,7 @@
 """Expressions are read and computed, and nothing else can be written in them."""
 
 import math
+import operator
 import time
 from collections.abc import Mapping
 from fractions import Fraction
@@ -163,7 +164,7 @@ def test_there_is_no_exact_decimal_of_what_is_not_finite(x: float) -> None:
         exact_decimal(x)
 
 
-one_argument = sorted(set(FUNCTIONS) - {"min", "max", "atan2"})
+one_argument = sorted(set(FUNCTIONS) - {"min", "max", "atan2", "mod"})
 leaves = st.one_of(
     st.floats(0, 1e9, allow_nan=False).map(repr),
     st.integers(0, 99).map(lambda n: f"{n}."),
@@ -177,12 +178,12 @@ expressions = st.recursive(
         inner.map("({})".format),
         st.tuples(st.sampled_from("+-"), inner).map("".join),
         st.tuples(st.sampled_from(one_argument), inner).map(lambda t: f"{t[0]}({t[1]})"),
-        st.tuples(st.sampled_from(["min", "max", "atan2"]), inner, inner).map(lambda t: f"{t[0]}({t[1]},{t[2]})"),
+        st.tuples(st.sampled_from(["min", "max", "atan2", "mod"]), inner, inner).map(lambda t: f"{t[0]}({t[1]},{t[2]})"),
     ),
     max_leaves=12,
 )
 PYTHON = {name: getattr(math, name) for name in FUNCTIONS if hasattr(math, name)}
-PYTHON |= {"abs": abs, "min": min, "max": max, "pi": math.pi, "__builtins__": {}}
+PYTHON |= {"abs": abs, "min": min, "max": max, "mod": operator.mod, "pi": math.pi, "__builtins__": {}}
 
 
 @given(expressions)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -11,7 +13,9 @@ from blocks import (
     Constant,
     Diagram,
     Encoder,
+    Expression,
     Integrator,
+    ModelError,
     Pulse,
     Ramp,
     Sine,
@@ -20,6 +24,7 @@ from blocks import (
     Unwrap,
     Wrap,
 )
+from blocks.contract.expressions import evaluate, parse
 
 ENGINES = ["reference", "native"]
 
@@ -119,3 +124,40 @@ def test_a_pulse_has_to_be_longer_than_the_duration(width: float, done: bool) ->
     after = results["timer.done"][results.t > 1.0]
     assert bool(after.any()) is done
     assert results["timer.done"][-1] == 0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_mod_in_a_formula_jumps_at_located_instants(engine: str) -> None:
+    d = Diagram("d")
+    wrap, total = d.add("wrap", Expression(expression="mod(u1 + pi, 2*pi) - pi")), d.add("total", Integrator())
+    d.wire(wrap.u1, d.add("ramp", Ramp()).y)
+    d.wire(total.u, wrap.y)
+    results = d.run(stop=20, engine=engine)
+    edges = np.pi * np.array([1, 3, 5])
+    assert [event.t for event in results.events if event.block == "wrap"] == pytest.approx(list(edges), rel=1e-15)
+    assert results["total.y"][-1] == pytest.approx(200 - 2 * np.pi * np.sum(20 - edges), abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_mod_inside_mod_and_in_conditions_is_what_numpy_says(engine: str) -> None:
+    d = Diagram("d")
+    sine = d.add("sine", Sine(amplitude=10, omega=3))
+    formula = d.add("formula", Expression(expression="mod(mod(u1, k1), k2) + mod(u1, -3)", k=[5, 2]))
+    condition = d.add("condition", Expression(expression="mod(u1, 4) < 1 or mod(u1, 4) > 3"))
+    d.wire(formula.u1, sine.y)
+    d.wire(condition.u1, sine.y)
+    results = d.run(stop=5, every=0.0123, engine=engine, rtol=1e-10)
+    u = results["sine.y"]
+    assert np.allclose(results["formula.y"], np.mod(np.mod(u, 5), 2) + np.mod(u, -3), atol=1e-9)
+    assert np.array_equal(results["condition.y"], (np.mod(u, 4) < 1) | (np.mod(u, 4) > 3))
+
+
+def test_mod_of_parameters_is_exact() -> None:
+    d = Diagram("d")
+    d.parameter("a", 0.7)
+    d.add("c", Constant(value="=mod(a, 0.2) + mod(-7, 3)"))
+    assert d.run(stop=1)["c.y"][-1] == pytest.approx(2.1, rel=1e-15)
+    assert evaluate(parse("mod(0.7, 0.2)"), {}).exact == Fraction(1, 10)
+    for expression, said in (("mod(3)", "mod takes two arguments, not 1"), ("mod(3, 0)", "division by zero in mod")):
+        with pytest.raises(ModelError, match=said):
+            Diagram("e").add("c", Constant(value=f"={expression}"))

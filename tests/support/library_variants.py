@@ -119,6 +119,7 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("FirstOrder", {"k": -2.0, "T": 0.1, "unit": "rad/s", "unit_u": "V"}),
     ("Expression", {}),
     ("Expression", {"expression": "k1*sin(u1) + u3**2/(1 + abs(u2)) - min(t, k2, 2)*tanh(u1)", "k": [2.0, -1.0]}),
+    ("Expression", {"expression": "mod(u1 + k1, 0.7) - mod(t, 2*k1)", "k": [0.3]}),
     ("Expression", {"expression": "0.2 <= u1 < k1 or not u2 != 0 and t > 0.5", "k": [0.8]}),
     ("Expression", {"expression": "atan2(u1, u2) - exp(-u1**2) + sqrt(u2*u2)", "unit": "V"}),
     ("FirstOrderHold", {"period": 0.1}),
