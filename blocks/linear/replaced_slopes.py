@@ -14,10 +14,11 @@ from ..compile.plan import Node, Reference
 from ..frequency.systems import is_of
 from ..model.values import in_si
 from ..text.arrays import Array
+from ..text.element_names import matching
 from ..text.errors import AnalysisError, Fault, UsageError, check_mappings
 from .interconnection import Interconnection
 from .nonlinearities import StaticLaw, nonlinear
-from .signals import SignalElement, places
+from .signals import SignalElement, all_names, places
 from .slopes import Slopes
 
 
@@ -45,8 +46,27 @@ class ReplacedSlopes:
         check_mappings(amplitude=amplitude, sigma=sigma, overrides=overrides)
         for given, is_random in ((amplitude or {}, False), (sigma or {}, True)):
             for name, values in given.items():
-                self._describe(name, values, is_random=is_random)
+                for each in self._named(name, "sigma" if is_random else "amplitude"):
+                    self._describe(each, values, is_random=is_random)
         self._override(overrides or {})
+
+    def _named(self, name: str, word: str) -> list[str]:
+        """Return the signals that a pattern names and that nonlinear laws read, each law once; else the name itself."""
+        if not isinstance(name, str) or "*" not in name:
+            return [name]
+        seen: set[tuple[int, int]] = set()
+        found = []
+        for each in matching(name, all_names(self.graph)):
+            laws = {law[:2] for spot in places(self.graph, each) for law in self._laws_reading(spot)}
+            if laws - seen:
+                found.append(each)
+                seen |= laws
+        if not found:
+            known = ", ".join(sorted({self.graph.slot_name(law.slot) for law in self.slopes.laws}))
+            cure = f"The laws without a slope at this point read {known}." if known else ""
+            message = "matches no signal that a nonlinear law reads."
+            raise UsageError(Fault("E501", f"{word} of {name}", message, cure))
+        return found
 
     def _describe(self, name: str, values: object, *, is_random: bool) -> None:
         graph = self.graph

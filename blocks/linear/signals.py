@@ -52,7 +52,7 @@ def places(graph: Interconnection, name: str) -> tuple[SignalElement, ...]:
     whole = _found(graph, base) if index is not None else None
     if whole is not None and index is not None and len(whole) > 1 and index < len(whole):
         return (whole[index],)
-    known = list(_names(graph))
+    known = list(all_names(graph))
     cure = did_you_mean(name[:200], known) or f"Signals: {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}."
     raise UsageError(Fault("E501", quoted(name[:200]), "there is no such signal.", cure))
 
@@ -137,7 +137,7 @@ def told(graph: Interconnection, column: int) -> str:
     return next((n for n in names if graph.column(graph.plan.signals[n].references[0]) == column), "its source")
 
 
-def _names(graph: Interconnection) -> Iterator[str]:
+def all_names(graph: Interconnection) -> Iterator[str]:
     plan = graph.plan
     yield from plan.signals
     for i, kind in enumerate(graph.type_of):

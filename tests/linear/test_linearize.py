@@ -1796,3 +1796,24 @@ def test_a_law_whose_slope_is_nowhere_infinite_or_hardly_changes_has_no_such_not
     d = around_a_law(Expression(expression=law), "u1")
     model = d.linearizer(parameters={"x.y_start": -1e-3}).loop("back.y")
     assert not any("infinite" in block.note for block in model.report)
+
+
+def test_a_pattern_gives_an_amplitude_to_all_laws_that_read_its_signals() -> None:
+    d = Diagram("d")
+    d.input("r")
+    d.add("lag", FirstOrder(T=1))
+    for k in ("a", "b"):
+        d.add(f"limit_{k}", Saturation(lower=-1, upper=1))
+    d.wire("limit_a.u", "r")
+    d.wire("lag.u", "limit_a.y")
+    d.wire("limit_b.u", "lag.y")
+    d.output("y", "limit_b.y")
+    by_name = d.linearize("r", "y", amplitude={"limit_a.u": 2, "limit_b.u": 2})
+    by_pattern = d.linearize("r", "y", amplitude={"limit_*.u": 2})
+    assert np.array_equal(by_pattern.C, by_name.C)
+    assert np.array_equal(by_pattern.B, by_name.B)
+    assert not np.array_equal(by_pattern.B, d.linearize("r", "y").B)
+    # A law that both its input and the signal at it match has the amplitude once.
+    assert np.array_equal(d.linearize("r", "y", amplitude={"*.*": 2}).C, by_name.C)
+    with pytest.raises(UsageError, match=r"E501 amplitude of \*\.q: matches no signal that a nonlinear law reads\."):
+        d.linearize("r", "y", amplitude={"*.q": 2})
