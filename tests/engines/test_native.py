@@ -28,6 +28,7 @@ import numpy as np
 import pytest
 
 from blocks import (
+    Abs,
     Block,
     BouncingBall,
     CompareToConstant,
@@ -238,6 +239,27 @@ def test_the_same_run_again_is_the_same_and_leaves_the_first_results_alone() -> 
     assert list(first.events) == list(again.events)
     assert shorter.t[-1] == 1.0
     assert "more.y" in other.columns
+
+
+def test_equal_blocks_may_read_blocks_of_several_types_by_turns() -> None:
+    """Sixteen sums read a Gain or an Abs each: their common code finds the operands side by side."""
+    d = Diagram("turns")
+    wave = d.add("wave", Sine(omega=3.0))
+    for k in range(16):
+        lag, total = d.add(f"lag{k}", FirstOrder(T=0.1 + 0.01 * k)), d.add(f"total{k}", Sum())
+        gain, size = d.add(f"gain{k}", Gain(k=1.0 + k)), d.add(f"size{k}", Abs())
+        after = d.add(f"after{k}", FirstOrder(T=0.3 + 0.01 * k))
+        d.wire(lag.u, wave.y)
+        d.wire(gain.u, lag.y)
+        d.wire(size.u, lag.y)
+        d.wire(total.u1, gain.y if k % 2 else size.y)
+        d.wire(total.u2, wave.y)
+        d.wire(after.u, total.y)
+    native, reference = (
+        d.run(stop=2.0, every=0.1, method="rk4", step=0.01, engine=engine) for engine in ("native", "reference")
+    )
+    for name in native:
+        assert native[name] == pytest.approx(reference[name], abs=1e-12)
 
 
 @pytest.mark.parametrize(("begin", "end"), [("reference", "native"), ("native", "reference")])

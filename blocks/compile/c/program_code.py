@@ -220,19 +220,25 @@ class _Program(CallOrder):
         unit_of = {group: k for k, unit in enumerate(units) for group in unit.groups}
         wanted: dict[tuple[EqualCalls, int], None] = {}
 
-        def shared(value: Value, reader: int | None, lane: int) -> None:
+        def maker(value: Value) -> EqualCalls | None:
+            return self.group_of[self.made[value[1]][0]][0] if value[0] in ("r", "ge") else None
+
+        def shared(value: Value, reader: int | None, lane: int, *, is_mixed: bool = False) -> None:
             if value[0] not in ("r", "ge"):
                 return
             call, k = self.made[value[1]]
             group, its = self.group_of[call]
-            if unit_of[group] != reader or (group.is_loop and its != lane) or call.gathers or type(value[1]) is At:
+            is_near = unit_of[group] == reader and (its == lane or not group.is_loop) and not is_mixed
+            if not is_near or call.gathers or type(value[1]) is At:
                 wanted[group, k] = None
 
         for number, unit in enumerate(units):
             for group in unit.groups:
-                for lane, call in enumerate(group.calls):
-                    for value in call.arguments:
-                        shared(value, number, lane)
+                for values in zip(*(call.arguments for call in group.calls), strict=True):
+                    # Lanes that read several groups find their values in w alone.
+                    is_mixed = len({maker(value) for value in values}) > 1
+                    for lane, value in enumerate(values):
+                        shared(value, number, lane, is_mixed=is_mixed)
         alone = len(units) == 1 and not units[0].is_loop
         for copy in self.copies:
             shared(copy.value, 0 if alone else None, 0)
