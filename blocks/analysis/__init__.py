@@ -23,6 +23,7 @@ _PLACES = {
             "disturbance_bandwidth disturbance_estimate equivalent_bandwidth euler_cycles half_gain "
             "half_gain_poles noise_gain observer sampling_limits"
         ),
+        "frequency.disk": "DiskMargins disk_margins",
         "frequency.margins": "Margins margins",
         "frequency.response": "bandwidth dc_gain h2 hinf peak poles response zeros",
         "linear.harmonic_balance": "HarmonicResponse Linearizer",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..frequency.delayed import DelayedModel
+from ..frequency.disk import DiskMargins, disk_margins, sensitivities
 from ..frequency.doubt import stability
 from ..frequency.margins import IN_JSON, Margins, margins
 from ..frequency.realization import balanced
@@ -66,6 +67,12 @@ def _stability(model: object) -> dict[str, object]:
     return {**dict.fromkeys(IN_JSON), "stable": verdict == "stable", "border": verdict == "border"}
 
 
+def margins_of(model: Transfer | DelayedModel) -> Margins | DiskMargins:
+    """Return the margins of a loop at one signal, or of the channels of a loop at several."""
+    is_single = _is_single(model) or isinstance(model, LoopOfRates)
+    return margins(model) if is_single else disk_margins(model)
+
+
 def check_loop(model: Transfer | DelayedModel, point: str) -> None:
     """Raise AnalysisError (E705) for a loop transfer through which nothing comes back."""
     if isinstance(model, DelayedModel):
@@ -76,7 +83,7 @@ def check_loop(model: Transfer | DelayedModel, point: str) -> None:
         raise AnalysisError(Fault("E705", point, message, cure))
 
 
-def entry(model: Transfer | DelayedModel, *, is_loop: bool) -> dict[str, Any]:
+def entry(model: Transfer | DelayedModel, known: Margins | DiskMargins | None) -> dict[str, Any]:
     """A model as one object: poles and zeros in 1/s (z of a sampled one), frequencies in rad/s.
 
     Of a loop with a dead time, poles and zeros are those without it, and `dead_time` is in s; where delays are on
@@ -85,14 +92,14 @@ def entry(model: Transfer | DelayedModel, *, is_loop: bool) -> dict[str, Any]:
     within rounding.
     """
     rational = _rational(model)
-    known, late = margins(model) if is_loop else None, {}
+    late = {}
     if isinstance(model, DelayedModel):
         late["dead_time"] = None if model.dead_time is None else model.dead_time[1]
     return {
         "poles": None if rational is None else _numbers(poles(rational)),
         "zeros": None if rational is None else _numbers(zeros(rational)),
         "dc_gain": _gain(model),
-        "bandwidth": known.bandwidth if known is not None else _bandwidth(model),
+        "bandwidth": _bandwidth(model) if known is None else known.bandwidth if isinstance(known, Margins) else None,
         "margins": known.as_json() if known is not None else _stability(model),
         "period": float(model.dt) if model.dt else None,
         "inputs": list(model.signals[0]),
@@ -103,10 +110,10 @@ def entry(model: Transfer | DelayedModel, *, is_loop: bool) -> dict[str, Any]:
     }
 
 
-def lines(model: Transfer | DelayedModel, *, is_loop: bool, known: Margins | None = None) -> Iterator[str]:
-    """A model as lines of text. known: the margins of a loop, if they were computed before."""
+def lines(model: Transfer | DelayedModel, known: Margins | DiskMargins | None) -> Iterator[str]:
+    """A model as lines of text. known: the margins of a loop; None: of a model that is no loop."""
     rational = _rational(model)
-    yield _title(model, is_loop=is_loop)
+    yield _title(model, is_loop=known is not None)
     plane = "z" if model.dt else "1/s"
     for title, roots in () if rational is None else (("poles", poles(rational)), ("zeros", zeros(rational))):
         shown = [_pole(p) for p in np.asarray(roots, dtype=complex) if p.imag >= 0]
@@ -116,10 +123,10 @@ def lines(model: Transfer | DelayedModel, *, is_loop: bool, known: Margins | Non
         gain = _gain(model)
         yield f"  {'DC gain':<10} {'infinite' if gain is None else f'{gain:.8g}'}"
         width = _bandwidth(model)
-        if not is_loop and width is not None:
+        if known is None and width is not None:
             yield f"  {'bandwidth':<10} {width:.8g} rad/s, relative to the DC gain"
-    if is_loop:
-        shown = str(known or margins(model)).splitlines()
+    if known is not None:
+        shown = str(known).splitlines()
         if rational is None:
             how = "--pade 3 decides it by Padé models"
             shown[0] = f"{'closed loop':<16}stability unknown with delays on several ways; {how}"
@@ -157,21 +164,32 @@ def _notes(model: Transfer | DelayedModel) -> Iterator[str]:
         yield f"  not part of this path: {', '.join(idle[:8])}{more}"
 
 
-def figure(model: Transfer | DelayedModel, kind: str, *, is_loop: bool) -> Any:
-    """A matplotlib figure: "bode", "nyquist", "nichols", "step" (of a loop: of the closed one) or "poles"."""
+def figure(model: Transfer | DelayedModel, kind: str, known: Margins | DiskMargins | None) -> Any:
+    """A matplotlib figure: "bode", "nyquist", "nichols", "sigma" (of a loop: of S and T), "step" (of a loop: of the
+    closed one) or "poles"; "": sigma of a loop at several signals, else bode. known: as of `lines`."""
     from ..frequency import figures
+    from ..frequency.figure_curves import shown_of, span_of
+
+    is_loop = known is not None
 
     if isinstance(model, LoopOfRates) and kind != "poles":
         message = "is a loop of several rates: one frequency comes back as several, so that it has no single curve."
         cure = "Draw its poles (--figure poles), or the closed loop (--from, --to)."
         raise AnalysisError(Fault("E705", model.point, message, cure))
+    kind = kind or ("sigma" if isinstance(known, DiskMargins) else "bode")
     ins, outs = (", ".join(names) for names in model.signals)
     name = f"{model.name}: loop at {ins}" if is_loop else f"{model.name}: {ins} to {outs}"
+    if kind == "sigma" and is_loop:
+        shown = {f"{part} of {name}": system for part, system in sensitivities(model).items()}
+        omega = span_of(shown_of({"L": model, **shown}, "sigma"), None)
+        return figures.sigma(shown, omega, margins=known if isinstance(known, DiskMargins) else None)
+    if kind == "sigma":
+        return figures.sigma({name: model})
     if isinstance(model, DelayedModel) and kind not in ("bode", "nyquist", "nichols"):
         message = "the loop has exact delays, but this figure needs a state space."
         raise AnalysisError(Fault("E707", ins, message, "Replace the delays by Padé models: --pade 3."))
     if isinstance(model, DelayedModel) or kind in ("bode", "nyquist", "nichols"):
-        return getattr(figures, kind)({name: model}, margins=is_loop)
+        return getattr(figures, kind)({name: model}, margins=known if isinstance(known, Margins) else False)
     if kind == "poles":
         return figures.pole_map({name: model})
     if is_loop:

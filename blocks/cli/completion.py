@@ -32,7 +32,7 @@ FILES = {
 }  # fmt: skip
 """The endings of files by what stands for them in the help; any other FILE has any."""
 PARAMETERS = ("parameters", "vary", "over")
-SIGNALS = ("log", "sources", "sinks", "loop", "openings", "amplitude", "sigma")
+SIGNALS = ("log", "sources", "sinks", "loops", "openings", "amplitude", "sigma")
 
 
 def add(verbs: Verbs) -> None:

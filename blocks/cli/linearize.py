@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..api.case import Case
     from ..api.diagram import Diagram
 
-FIGURES = ("bode", "nyquist", "nichols", "step", "poles")
+FIGURES = ("bode", "nyquist", "nichols", "sigma", "step", "poles")
 
 
 def add(verbs: Verbs) -> None:
@@ -29,7 +29,8 @@ def add(verbs: Verbs) -> None:
     linear.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     takes_several(linear, "--from", "A", "an input of the transfer", dest="sources")
     takes_several(linear, "--to", "B", "an output of the transfer", dest="sinks")
-    linear.add_argument("--loop", metavar="POINT", help="open the loop at this signal: L, with S = 1/(1 + L)")
+    loop = "open the loop at this signal: L, with S = 1/(1 + L); several signals or a vector: margins of them together"
+    takes_several(linear, "--loop", "POINT", loop, dest="loops")
     takes_several(linear, "--open", "C", "a signal to cut", dest="openings")
     override = "replace a block by a gain: q=1 makes a quantizer a unit gain; q=[[1,0],[0,1]] for several signals"
     takes_several(linear, "--override", "BLOCK=GAIN", override, dest="overrides")
@@ -37,7 +38,9 @@ def add(verbs: Verbs) -> None:
     linear.add_argument("--pade", metavar="N", type=int, default=0, help=pade)
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
     linear.add_argument(
-        "--figure", choices=FIGURES, help="the figure of --plot (default bode); step of a loop shows the closed loop"
+        "--figure",
+        choices=FIGURES,
+        help="the figure of --plot (default bode, of several channels sigma); step of a loop shows the closed loop",
     )
     linear.set_defaults(verb=_linearize)
 
@@ -85,7 +88,7 @@ def _linearize(options: argparse.Namespace) -> int:
         raise UsageError(Fault("E501", "--figure", "has no file to draw to.", "Add --plot FILE.svg."))
     if options.pade < 0:
         raise UsageError(Fault("E501", f"--pade {options.pade}", "is not an order of a Padé model.", "Use 1 to 10."))
-    is_loop = options.loop is not None
+    is_loop = bool(options.loops)
     if is_loop == bool(options.sources or options.sinks) or (not is_loop and not (options.sources and options.sinks)):
         cure = "Example: --from r --to motor.omega, or --loop control.u."
         raise UsageError(Fault("E501", "linearize", "needs either --from and --to, or --loop alone.", cure))
@@ -93,23 +96,24 @@ def _linearize(options: argparse.Namespace) -> int:
     given = assignments("--override", options.overrides, "q=1")
     linearizer = diagram.linearizer(case, overrides={name: raw_number(v) for name, v in given.items()}, **point)
     if is_loop:
-        model: Any = linearizer.exact_loop(options.loop, openings=options.openings, pade=options.pade)
+        model: Any = linearizer.exact_loop(options.loops, openings=options.openings, pade=options.pade)
     else:
         model = linearizer.transfer(options.sources, options.sinks, openings=options.openings, pade=options.pade)
-    from ..analysis.model_text import check_loop, entry, figure, lines
+    from ..analysis.model_text import check_loop, entry, figure, lines, margins_of
 
     if is_loop:
-        check_loop(model, options.loop)
+        check_loop(model, ", ".join(options.loops))
+    known = margins_of(model) if is_loop else None
     if options.json:
-        emit(entry(model, is_loop=is_loop))
+        emit(entry(model, known))
     else:
         print(printable(diagram.name))
-        for line in lines(model, is_loop=is_loop):
+        for line in lines(model, known):
             print(printable(f"  {line}"))
     if options.plot:
         from ..results import plots
 
-        plots.save(figure(model, options.figure or "bode", is_loop=is_loop), options.plot)
+        plots.save(figure(model, options.figure or "", known), options.plot)
         say(f"figure in {options.plot}")
     return 0
 

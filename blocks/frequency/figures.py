@@ -17,6 +17,7 @@ import numpy as np
 from ..results.plots import INK, STYLES, defaults
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
+from .disk import DiskMargins
 from .figure_curves import (
     curve_of,
     decibel_of,
@@ -35,7 +36,8 @@ from .figure_planes import draw_arrow, draw_contours, draw_half_plane, draw_unit
 from .margins import Margins
 from .margins import margins as margins_of
 from .response import poles, zeros
-from .search import highest, refined
+from .search import highest, layout, refined
+from .systems import Source
 
 if TYPE_CHECKING:
     from ..results.figure import Figure
@@ -149,22 +151,34 @@ def nichols(systems: object, *, margins: bool | Margins = True) -> object:
 
 
 @defaults()
-def sigma(systems: object, omega: Iterable[float] | None = None) -> Figure:
-    """Singular values over frequency: the largest and the smallest as lines, with what lies between them shaded."""
+def sigma(systems: object, omega: Iterable[float] | None = None, *, margins: DiskMargins | None = None) -> Figure:
+    """Singular values over frequency: the largest and the smallest as lines, with what lies between them shaded.
+
+    margins: of a loop, whose S and T are the systems: their peaks are marked.
+    """
     shown = shown_of(systems, "sigma")
     span = span_of(shown, omega)
     figure, axis = new_figure(1, 1, height=3.4)
     for trace in shown:
+
+        def sizes(w: Array, known: Source = trace.known) -> Array:
+            stack = np.moveaxis(known.at(w), 2, 0)
+            values = np.full((min(stack.shape[1:]), len(w)), math.inf)
+            finite = np.all(np.isfinite(stack), axis=(1, 2))
+            values[:, finite] = np.linalg.svd(stack[finite], compute_uv=False).T
+            return values
+
         if trace.measured:
             assert trace.known.points is not None
             w = trace.known.points[trace.known.points > 0]
+            values = sizes(w)
         else:
-            w = np.geomspace(max(span[0], trace.known.low), min(span[1], trace.known.high), 60)
-            w = refined(trace.known.at, w, passes=6)[0]
-        stack = np.moveaxis(trace.known.at(w), 2, 0)
-        finite = np.all(np.isfinite(stack), axis=(1, 2))
-        w = w[finite]
-        values = decibel_of(np.linalg.svd(stack[finite], compute_uv=False))
+            limits = max(span[0], trace.known.low), min(span[1], trace.known.high)
+            w = layout(trace.known)
+            w = np.unique(np.concatenate([np.geomspace(*limits, 60), w[(w > limits[0]) & (w < limits[1])]]))
+            w, values = refined(sizes, w, passes=6)
+        finite = np.isfinite(values[0])
+        w, values = w[finite], decibel_of(values[:, finite].T)
         plot_curve(axis, trace, w, values[:, 0], len(shown))
         if values.shape[1] > 1:
             plot_curve(axis, trace, w, values[:, -1], len(shown), label=False)
@@ -173,7 +187,16 @@ def sigma(systems: object, omega: Iterable[float] | None = None) -> Figure:
     axis.set_xlim(*span)
     axis.set_xlabel("frequency [rad/s]")
     axis.set_ylabel("singular values [dB]")
-    limit_decibel(axis)
+    limit_decibel(axis, floor=-60.0 if margins is not None else -math.inf)
+    tops = () if margins is None else ((margins.Ms, margins.Ms_frequency), (margins.Mt, margins.Mt_frequency))
+    for trace, (value, at), above in zip(shown, tops, (True, False), strict=False):
+        if span[0] <= at <= span[1] and 0 < value < math.inf:
+            level = 20 * math.log10(value)
+            axis.plot([at], [level], "o", color=trace.color, markersize=4)
+            side = "right" if math.log(at / span[0]) > 0.5 * math.log(span[1] / span[0]) else "left"
+            place = (6 if side == "left" else -6, 6 if above else -6)
+            text = f"{value:.4g} at {at:.4g} rad/s"
+            note(axis, text, (at, level), place, color=trace.color, ha=side, va="bottom" if above else "top")
     return finished(figure, axis, shown)
 
 

@@ -11,32 +11,38 @@ introduction to disk margins, IEEE Control Systems 40 (2020).
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.rich_output import Shown, Table
+from .closed_loop import (
+    Closed,
+    check_well_posed,
+    closed_loop,
+    frequencies_of,
+    is_stable_by_encirclements,
+    judged,
+    return_of_values,
+)
 from .dead_time import extrema, is_stable, stretches
 from .delayed import DelayedModel
 from .doubt import (
     eigenvalues_with_doubt,
-    growth_of,
-    is_root,
     is_singular,
-    onto_border,
     parts_with_doubt,
     root_doubts,
     rounding,
 )
 from .lifted import MOST_GAIN, Factored, Lifted, gain_borders, phase_borders
-from .realization import Realization, balanced, equivalent, period
+from .realization import Realization, balanced
 from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
-from .systems import Source, StateSpace, is_of, polynomials, source
+from .systems import Source, is_of, polynomials, source
 
 _EPS = float(np.finfo(float).eps)
 # Of the sine of the phase and of the logarithm of the gain: what rounding leaves of a zero in a response.
@@ -215,31 +221,31 @@ def _finite(value: float | None) -> float | None:
 def _table(m: Margins) -> list[tuple[str, str]]:
     rows = [("closed loop", _verdict(m))]
     if m.hidden:
-        rows.append(("", f"beside the loop, on the border: {', '.join(_number(p) for p in m.hidden)}"))
+        rows.append(("", f"beside the loop, on the border: {', '.join(pole_text(p) for p in m.hidden)}"))
     up, down = m._up, m._down
     nothing = "none: the loop stays stable for any larger gain" if m.stable else "none upward"
     nothing = f"none up to {MOST_GAIN:g}" if m.several_rates else nothing
-    rows.append(("gain margin", f"{_gain(up[0])}{_at(up[1])}" if up else nothing))
+    rows.append(("gain margin", f"{gain_text(up[0])}{at_text(up[1])}" if up else nothing))
     if down:
-        rows.append(("  downward", f"{_gain(down[0])}{_at(down[1])}"))
+        rows.append(("  downward", f"{gain_text(down[0])}{at_text(down[1])}"))
     if m.several_rates:
         if m.phase_deg is not None and m.crossover is not None:
-            rows.append(("phase margin", f"+-{m.phase_deg:.5g} deg{_at(m.crossover)}"))
+            rows.append(("phase margin", f"+-{m.phase_deg:.5g} deg{at_text(m.crossover)}"))
         else:
             rows.append(("phase margin", "none: the loop stays stable for any phase" if m.stable else "none"))
         rows.append(("", "several rates: no delay, modulus or disk margin; frequencies are the lowest of several"))
         return rows + _all_of(m)
     if m.phase_deg is not None and m.crossover is not None:
-        rows.append(("phase margin", f"{m.phase_deg:.5g} deg{_at(m.crossover)}"))
+        rows.append(("phase margin", f"{m.phase_deg:.5g} deg{at_text(m.crossover)}"))
     else:
         rows.append(("phase margin", "none: the gain never crosses 0 dB"))
     if m.delay is not None and m.delay_frequency is not None:
-        rows.append(("delay margin", f"{m.delay:.5g} s{_at(m.delay_frequency)}"))
-    rows.append(("modulus margin", f"{m.modulus:.5g}{_at(m.Ms_frequency)}"))
-    rows.append(("Ms", f"{_gain(m.Ms)}{_at(m.Ms_frequency)}"))
-    rows.append(("Mt", f"{_gain(m.Mt)}{_at(m.Mt_frequency)}"))
+        rows.append(("delay margin", f"{m.delay:.5g} s{at_text(m.delay_frequency)}"))
+    rows.append(("modulus margin", f"{m.modulus:.5g}{at_text(m.Ms_frequency)}"))
+    rows.append(("Ms", f"{gain_text(m.Ms)}{at_text(m.Ms_frequency)}"))
+    rows.append(("Mt", f"{gain_text(m.Mt)}{at_text(m.Mt_frequency)}"))
     both = f"gain x or / {m.disk_gain:.5g} and phase +-{m.disk_phase_deg:.5g} deg together"
-    rows.append(("disk margin", f"{m.disk:.5g}{_at(m.disk_frequency)}: {both}"))
+    rows.append(("disk margin", f"{m.disk:.5g}{at_text(m.disk_frequency)}: {both}"))
     if m.bandwidth is not None:
         rows.append(("bandwidth of T", f"{m.bandwidth:.5g} rad/s"))
     return rows + _all_of(m)
@@ -249,7 +255,7 @@ def _all_of(m: Margins) -> list[tuple[str, str]]:
     rows = []
     if len(m.gains) > 1:
         nearest = sorted(m.gains, key=lambda crossing: abs(math.log(crossing[0])))
-        rows.append(("at -180 deg", _joined(nearest, _gain)))
+        rows.append(("at -180 deg", _joined(nearest, gain_text)))
     if len(m.phases) > 1:
         nearest = sorted(m.phases, key=lambda crossing: abs(crossing[0]))
         rows.append(("at 0 dB", _joined(nearest, lambda degrees: f"{degrees:.5g} deg")))
@@ -258,7 +264,7 @@ def _all_of(m: Margins) -> list[tuple[str, str]]:
 
 def _joined(crossings: list[tuple[float, float]], told: Callable[[float], str]) -> str:
     """The first crossings, by frequency, and how many there are beyond."""
-    parts = [f"{told(value)}{_at(w)}" for value, w in sorted(crossings[:_MOST], key=lambda crossing: crossing[1])]
+    parts = [f"{told(value)}{at_text(w)}" for value, w in sorted(crossings[:_MOST], key=lambda crossing: crossing[1])]
     beyond = len(crossings) - _MOST
     return "; ".join(parts) + (f"; and {beyond} farther away" if beyond > 0 else "")
 
@@ -269,20 +275,20 @@ def _verdict(m: Margins) -> str:
     if m.stable is None:
         return "stability unknown: give the number of unstable poles of the open loop"
     if m.verdict == "border":
-        return f"AT THE BORDER of stability within rounding ({', '.join(_number(p) for p in m.border)})"
-    where = f" ({', '.join(_number(p) for p in m.unstable)})" if m.unstable else ""
+        return f"AT THE BORDER of stability within rounding ({', '.join(pole_text(p) for p in m.border)})"
+    where = f" ({', '.join(pole_text(p) for p in m.unstable)})" if m.unstable else ""
     return f"UNSTABLE{where}; the values below are distances to the border of stability, not margins"
 
 
-def _number(p: complex) -> str:
+def pole_text(p: complex) -> str:
     return f"{p.real:.5g}" if p.imag == 0 else f"{p:.5g}"
 
 
-def _gain(value: float) -> str:
+def gain_text(value: float) -> str:
     return f"{value:.5g} ({20 * math.log10(value):.4g} dB)" if 0 < value < math.inf else f"{value:.5g}"
 
 
-def _at(omega: float) -> str:
+def at_text(omega: float) -> str:
     return f" at {omega:.5g} rad/s"
 
 
@@ -300,7 +306,8 @@ def margins(
     integrators: of the open loop, where only its response is known: with them stability follows from encirclements.
     Measured data are interpolated between their points, and nothing is known beyond. A loop of several rates
     (`LiftedLoop`) has margins by the eigenvalues of the closed loop: see `Margins`.
-    check: called again and again during the search, which ends with whatever it raises.
+    check: called again and again during the search, which ends with whatever it raises. Several channels together have
+    `disk_margins`; a loop at one element of a vector that is fragile together with the others is warned of (W701).
 
     Raises AnalysisError (E705) where 1 + L vanishes at infinite frequency or L is 0 at all frequencies, and UsageError
     (E501).
@@ -312,8 +319,8 @@ def margins(
     known = source(loop).asking(check)
     if (known.outputs, known.inputs) != (1, 1):
         what = f"{known.outputs} outputs and {known.inputs} inputs, but a loop has one of each."
-        raise UsageError(Fault("E501", "margins", what, "Open one loop at a time."))
-    closed = _closed_loop(loop, known)
+        raise UsageError(Fault("E501", "margins", what, "Use disk_margins(loop), or open one loop at a time."))
+    closed = closed_loop(loop, known)
     at = curve(known)
     omega, values = _grid(known, at, closed, grid, str(getattr(loop, "hint", "")), _at_rest(loop, known))
     ends = _ends(known, loop)
@@ -321,26 +328,30 @@ def margins(
     gains = _gain_crossings(at, omega, values, ends, only)
     phases, delays = _phase_crossings(at, omega, values, known)
     border = closed.border if closed is not None else _touched(phases, known.dt)
-    gains, phases, delays = _at_border(_frequencies(border, known.dt), gains, phases, delays)
+    gains, phases, delays = _at_border(frequencies_of(border, known.dt), gains, phases, delays)
     peaks = {}
     for name, law in _LAWS.items():
         limits = [Peak(float(abs(law(np.array([value]))[0])), w) for w, value in ends]
         gain = _size_of(law, at)
         if border:
-            peaks[name] = Peak(math.inf, _frequencies(border, known.dt)[0])
+            peaks[name] = Peak(math.inf, frequencies_of(border, known.dt)[0])
         else:
             peaks[name] = highest(gain, omega, np.abs(law(values)), limits)
     if closed is not None:
         stable: bool | None = not closed.unstable and not border
     else:
-        stable = False if border else _by_encirclements(values, unstable_poles, integrators)
+        stable = False if border else is_stable_by_encirclements(values, unstable_poles, integrators)
     bandwidth = _bandwidth(at, omega, values, ends)
-    return _gathered(stable, closed, border, gains, phases, delays, peaks, bandwidth, known.dt)
+    found = _gathered(stable, closed, border, gains, phases, delays, peaks, bandwidth, known.dt)
+    ask = getattr(loop, "fragile", None)  # of a diagram's loop at one element of a vector
+    if found.stable and ask is not None and (fault := ask()) is not None:
+        warnings.warn(str(fault), RuntimeWarning, stacklevel=2)
+    return found
 
 
 def _gathered(
     stable: bool | None,
-    closed: _Closed | None,
+    closed: Closed | None,
     border: tuple[complex, ...],
     gains: _Crossings,
     phases: _Crossings,
@@ -375,18 +386,18 @@ def _of_several_rates(loop: object, check: Callable[[], None] | None) -> Margins
         cure = "Open the loop at a signal that feeds back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero at all frequencies.", cure))
     for direct in np.diag(seen.d).tolist():
-        _well_posed(1.0 + direct, 1.0)
+        check_well_posed(1.0 + direct, 1.0)
     matrix = Factored(seen).matrix(1.0)
     unsure, scale = rounding(matrix, seen.a, model.dt), float(np.linalg.norm(model.a))
     p, doubt = eigenvalues_with_doubt(matrix, unsure)
-    at, there = (lambda x: _lifted_return(seen, x)), is_singular(matrix, unsure)
-    own = _judged(p, doubt, at, np.zeros(0, complex), scale, model.dt, there)
-    beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt)
+    at, there = (lambda x: return_of_values(seen, x)), is_singular(matrix, unsure)
+    own = judged(p, doubt, at, np.zeros(0, complex), scale, model.dt, there)
+    beside = judged(np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt)
     closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden), bool(own.border), check)
     unstable = own.unstable + beside.unstable
     gains = _by_frequency((g, angle / model.dt) for g, angle in gain_borders(closed))
     phases = _by_frequency((d, angle / model.dt) for d, angle in phase_borders(closed))
-    gains, phases, _ = _at_border(_frequencies(own.border, model.dt), gains, phases, ())
+    gains, phases, _ = _at_border(frequencies_of(own.border, model.dt), gains, phases, ())
     nothing = math.nan
     return Margins(
         stable=not unstable and not own.border,
@@ -448,7 +459,7 @@ def _with_dead_time(
     parts = list(parts_with_doubt(seen))
     poles, doubts = (np.concatenate([np.zeros(0), *(part[k] for part in parts)]) for k in (2, 3))
     scale = float(np.linalg.norm(rational.a))
-    beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, rational.hidden_eigenvalues(), scale, 0.0)
+    beside = judged(np.zeros(0, complex), np.zeros(0), lambda x: x, rational.hidden_eigenvalues(), scale, 0.0)
 
     def is_stable_at(delay: float) -> bool:
         return not beside.unstable and is_stable(seen, delay, poles, doubts, omega, unity)
@@ -459,9 +470,9 @@ def _with_dead_time(
     if start and abs(1.0 + start[0][1]) <= _TOUCH:
         border = (0j, *border)
     stable = not border and is_stable_at(delay)
-    at_border = _at_border(_frequencies(border, 0.0), _by_frequency(gains), phases, delays)
+    at_border = _at_border(frequencies_of(border, 0.0), _by_frequency(gains), phases, delays)
     if border:
-        top = dict.fromkeys(_LAWS, Peak(math.inf, _frequencies(border, 0.0)[0]))
+        top = dict.fromkeys(_LAWS, Peak(math.inf, frequencies_of(border, 0.0)[0]))
     return _gathered(stable, beside, border, *at_border, top, bandwidth, 0.0)
 
 
@@ -481,12 +492,6 @@ def _first(peaks: list[Peak], limit: Peak) -> Peak:
 
 def _by_frequency(crossings: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     return tuple(sorted(crossings, key=lambda crossing: crossing[1]))
-
-
-def _lifted_return(seen: Realization, p: Array) -> Array:
-    """det(I + L) - 1, which goes round the zeros and poles of the return difference as L does of one value."""
-    whole = np.moveaxis(seen.at(p), 2, 0) + np.eye(len(seen.d))
-    return np.asarray(np.linalg.det(whole) - 1.0)
 
 
 # S, T and S - T of L, with their limits where L is infinite
@@ -512,97 +517,7 @@ def _size_of(law: Callable[[Array], Array], at: Callable[[Array], Array]) -> Cal
     return lambda omega: np.abs(law(at(omega)))
 
 
-# The closed loop
-
-
-@dataclass(frozen=True, slots=True)
-class _Closed:
-    poles: Array  # as s, for the grid
-    unstable: tuple[complex, ...]
-    border: tuple[complex, ...]
-    hidden: tuple[complex, ...]
-
-
-def _closed_loop(loop: Any, known: Source) -> _Closed | None:
-    if isinstance(loop, StateSpace):
-        model = balanced(loop)
-        seen = model.visible()
-        gain = 1.0 + float(model.d[0, 0])
-        _well_posed(gain, 1.0)
-        matrix = seen.a - seen.b @ seen.c / gain
-        unsure = rounding(matrix, seen.a, known.dt)
-        p, doubt = eigenvalues_with_doubt(matrix, unsure)
-        beside, scale = model.hidden_eigenvalues(), float(np.linalg.norm(model.a))
-        return _judged(p, doubt, lambda x: seen.at(x)[0, 0], beside, scale, known.dt, is_singular(matrix, unsure))
-    if is_of(loop, "TransferFunction"):
-        num, den = polynomials(loop)[0][0]
-        total = np.polyadd(num, den)
-        _well_posed(float(total[0]) if len(total) >= max(len(num), len(den)) else 0.0, float(np.max(np.abs(den))))
-        shift = 1.0 if period(loop.dt) > 0 else 0.0
-        roots = np.asarray(np.roots(total), dtype=complex)
-        return _judged(
-            roots - shift, root_doubts(total, roots), lambda x: np.polyval(num, x + shift) / np.polyval(den, x + shift),
-            np.zeros(0, complex), 0.0, known.dt, lambda x: is_root(total, x + shift),
-        )  # fmt: skip
-    return None
-
-
-def _well_posed(leading: float, scale: float) -> None:
-    if abs(leading) <= 8 * _EPS * scale:
-        cure = "Put a state or a delay into the loop: it is an algebraic loop without a solution."
-        raise AnalysisError(Fault("E705", "margins", "1 + L vanishes at infinite frequency.", cure))
-
-
-def _judged(
-    p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float,
-    is_there: Callable[[complex], bool] = lambda x: True,
-) -> _Closed:  # fmt: skip
-    """Sort the poles of the closed loop. is_there: whether a place is a pole within rounding."""
-    shift = 1.0 if dt > 0 else 0.0
-    unstable, border, hidden = [], [], []
-    for pole, fast, unsure in zip(p, growth_of(p, dt), doubt, strict=True):
-        if fast < -unsure:
-            continue
-        if abs(fast) > unsure or not is_there(onto_border(pole, dt)):
-            if fast >= 0:
-                unstable.append(complex(pole + shift))
-        # 1 + L turns once around a zero that is no pole of L: elsewhere the pole was there before and stayed.
-        elif _turns(at, pole, 10 * unsure):
-            border.append(onto_border(pole, dt) + shift)
-        else:
-            hidden.append(complex(pole + shift))
-    rate, least = growth_of(beside, dt), 1e3 * _EPS * scale
-    unstable += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if fast > least]
-    hidden += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if abs(fast) <= least]
-    return _Closed(equivalent(p, dt), tuple(unstable), tuple(border), tuple(hidden))
-
-
-def _turns(at: Callable[[Array], Array], center: complex, radius: float) -> bool:
-    """Whether 1 + L has more zeros than poles within the circle."""
-    around = center + radius * np.exp(2j * math.pi * np.arange(65) / 64)
-    with np.errstate(all="ignore"):
-        angles = np.unwrap(np.angle(1.0 + at(around)))
-    return bool(angles[-1] - angles[0] > math.pi)
-
-
-def _by_encirclements(values: Array, unstable_poles: int | None, integrators: int) -> bool | None:
-    """Whether 1 + L turns by what a stable closed loop needs: pi for each unstable pole, pi/2 for each integrator."""
-    if unstable_poles is None:
-        return None
-    angles = np.unwrap(np.angle(1.0 + values))
-    zeros = unstable_poles + 0.5 * integrators - (angles[-1] - angles[0]) / math.pi
-    # The ends of measured data are not at zero and infinity: their turn is not quite whole.
-    if abs(zeros - round(zeros)) > 0.3:
-        return None
-    return bool(round(zeros) == 0)
-
-
 # At the border
-
-
-def _frequencies(border: Iterable[complex], dt: float) -> list[float]:
-    """Those of poles at the border, in rad/s; of a pair once."""
-    return sorted({float(abs(np.angle(p)) / dt if dt > 0 else abs(p.imag)) for p in border})
 
 
 def _touched(phases: tuple[tuple[float, float], ...], dt: float) -> tuple[complex, ...]:
@@ -663,7 +578,7 @@ def _without_rest(known: Source, size: float) -> Source:
 
 
 def _grid(
-    known: Source, at: Callable[[Array], Array], closed: _Closed | None, grid: Iterable[float] | None, hint: str,
+    known: Source, at: Callable[[Array], Array], closed: Closed | None, grid: Iterable[float] | None, hint: str,
     at_rest: float = 0.0,
 ) -> tuple[Array, Array]:  # fmt: skip
     omega = layout(_without_rest(known, at_rest), closed.poles if closed is not None else None)

@@ -119,9 +119,13 @@ def _ofbalanced(model: Realization) -> Source:
 
 
 def _channel_zeros(model: Realization) -> list[Array]:
-    """Zeros of single channels: where a gain dips. Of the first few only; more would cost more than they are worth."""
+    """Zeros of the whole and of single channels: where a gain dips.
+
+    Of the first few channels only; more would cost more than they are worth.
+    """
     pairs = [(i, j) for i in range(model.d.shape[0]) for j in range(model.d.shape[1])][:9]
-    return [invariant_zeros(model.channel(i, j).visible()) for i, j in pairs] if len(model.a) <= _MANY else []
+    parts = [model, *(model.channel(i, j).visible() for i, j in pairs)] if len(pairs) > 1 else [model]
+    return [invariant_zeros(part) for part in parts] if len(model.a) <= _MANY else []
 
 
 def polynomials(system: Any) -> list[list[tuple[Array, Array]]]:

@@ -29,7 +29,8 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
     Its labels are the diagram's names with "_" for ".", which python-control refuses: "motor_omega". signals: the
     names of the inputs and of the outputs in the diagram. report: what each block gave. units: of the inputs and of
     the outputs in SI, "" where unknown. hint: what to ask for where nothing comes out because laws on the way, such as
-    a quantizer, pass nothing on where they stand; "" else.
+    a quantizer, pass nothing on where they stand; "" else. fragile: of a loop at one element of a vector, what
+    `margins` asks for a warning that all elements together bear far less; else None.
     """
 
     def __init__(self, transfer: Transfer) -> None:
@@ -41,10 +42,10 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
         )  # fmt: skip
         self.signals = (tuple(transfer.signals[0]), tuple(transfer.signals[1]))
         self.report, self.units = transfer.report, (tuple(transfer.units[0]), tuple(transfer.units[1]))
-        self.hint = transfer.hint
+        self.hint, self.fragile = transfer.hint, transfer.fragile
 
     def closed(self) -> LinearModel:
-        """Of a loop transfer L: T = L/(1 + L)."""
+        """Of a loop transfer L: T = L/(1 + L), or of a matrix (I + L)^-1 L."""
         A, B, C, D = (np.asarray(m, dtype=float) for m in (self.A, self.B, self.C, self.D))
         loop = Transfer(A, B, C, D, self.dt, self.state_labels, self.signals, self.units, report=self.report)
         return LinearModel(loop.closed())

@@ -3,6 +3,7 @@
     linearizer = Linearization(slopes)
     linearizer.model(["r"], ["motor.omega"])                # a LinearModel
     linearizer.loop("control.u")                            # L, where S = 1/(1 + L)
+    linearizer.loop(["k.y[0]", "k.y[1]"])                   # the matrix L of two channels, opened together
     linearizer.transfer(["r"], ["motor.omega"])             # the same model as plain matrices: a Transfer
     linearizer.response(["r"], ["motor.omega"], omega)      # exact delays and all
 
@@ -12,14 +13,17 @@ and where the point is opened, the perturbation alone: the signal keeps its valu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..frequency.delayed import DelayedModel
+from ..frequency.disk import fragile_together
 from ..text.arrays import Array
+from ..text.element_names import indexed
 from ..text.errors import AnalysisError, Fault, UsageError
 from .equation_matrix import wiring
 from .model_report import BlockReport, hints_of, report_of
@@ -27,11 +31,15 @@ from .nonlinearities import nonlinear
 from .reduction import Wired, contributing, delayed_model, matrices_of, reduced, with_pade_models
 from .replaced_slopes import ReplacedSlopes
 from .sampled_model import Sampled
-from .signals import Names, SignalElement, listed, place, places
+from .signals import Names, SignalElement, listed, places
 from .transfer import LoopOfRates, Transfer
 
 if TYPE_CHECKING:
     from .linear_model import LiftedModel, LinearModel
+
+
+_MOST_CHANNELS = 8
+"""The largest vector whose elements are looked at together where a loop is opened at one of them."""
 
 
 def _state_space(transfer: Transfer) -> LinearModel:
@@ -198,35 +206,89 @@ class Linearization(ReplacedSlopes):
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
         return LiftedModel(Transfer(A, B, C, D, sampled.dt, names, signals, units, plan.name, report), steps)
 
-    def loop(self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> LinearModel:
+    def loop(self, points: Names, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> LinearModel:
         """The loop transfer at a signal: what comes back there of what is put in, as L in S = 1/(1 + L).
 
-        sign=1: for positive feedback, S = 1/(1 - L). Where the signal takes several values before the ticks of several
-        rates repeat, a `LiftedLoop`. Raises UsageError (E501), AnalysisError (E701, E703, E707, and E705 where sampled
-        blocks contribute, and the signal changes between ticks and acts there).
+        At several signals, or all elements of a vector: the matrix L of S = (I + L)^-1, for `disk_margins`; the loop is
+        open at all of them. sign=1: for positive feedback, S = 1/(1 - L). Where one signal takes several values before
+        the ticks of several rates repeat, a `LiftedLoop`. Raises UsageError (E501), AnalysisError (E701, E703, E707,
+        and E705 where sampled blocks contribute, and a signal changes between ticks and acts there, or is one of
+        several and takes several values).
         """
-        return _state_space(self.loop_transfer(point, openings=openings, sign=sign, pade=pade))
+        return _state_space(self.loop_transfer(points, openings=openings, sign=sign, pade=pade))
 
-    def loop_transfer(self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> Transfer:
+    def loop_transfer(self, points: Names, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> Transfer:
         """As `loop`, for which python-control is not loaded; in the place of a `LiftedLoop` a `LoopOfRates`."""
-        spot = place(self.graph, point)
-        cut = [spot, *self._places(openings)]
-        wired, report = self.wired([spot], [spot], cut)
+        spots = self._loop_ends(points)
+        others = self._places(openings)
+        cut = [*spots, *others]
+        wired, report = self.wired(spots, spots, cut)
         plan = self.graph.plan
         m, states = matrices_of(wired, plan, pade)
         report = with_pade_models(report, wired, plan, pade)
-        dt, times = 0.0, [0.0]
+        dt, values = 0.0, [(k, 0.0) for k in range(len(spots))]
         if wired.d:
-            sampled = Sampled(plan, wired.d, m, states, [spot.name], () if pade else wired.h)
-            if sampled.acts and sampled.is_moving():
-                raise self._between_ticks(spot, sampled)
-            (m, states, times), dt = sampled.loop(), sampled.dt
-        matrices = (m["xx"], m["xe"], sign * m["yx"], sign * m["ye"])
-        names = [f"{spot.name}@{k}" for k in range(len(times))] if len(times) > 1 else [spot.name]
-        units = [spot.unit] * len(times)
-        told = (*matrices, dt, states, (names, names), (units, units), plan.name, report)
-        model = LoopOfRates(*told, point=spot.name, times=tuple(times)) if len(times) > 1 else Transfer(*told)
-        return self._hinted(model, [spot], [spot], cut)
+            sampled = Sampled(plan, wired.d, m, states, [spot.name for spot in spots], () if pade else wired.h)
+            for k in sampled.moving():
+                raise self._between_ticks(spots[k], sampled)
+            (m, states, values), dt = sampled.loop(), sampled.dt
+        signals = [k for k, _ in values]
+        if len(values) > 1 and len(spots) > 1 and sorted(signals) != list(range(len(spots))):
+            spot = max(spots, key=lambda spot: signals.count(spots.index(spot)))
+            message = "takes several values before the ticks repeat, so that the loop has no matrix over frequency."
+            cure = "Open the loop at one signal, or at signals that are held at one rate."
+            raise AnalysisError(Fault("E705", spot.name, message, cure))
+        order = np.argsort(signals, kind="stable")
+        B, C, D = m["xe"][:, order], sign * m["yx"][order], sign * m["ye"][np.ix_(order, order)]
+        is_lifted = len(values) > len(spots)
+        names = [f"{spots[0].name}@{k}" for k in range(len(values))] if is_lifted else [spot.name for spot in spots]
+        units = [spots[k].unit for k in sorted(signals)]
+        told = (m["xx"], B, C, D, dt, states, (names, names), (units, units), plan.name, report)
+        if is_lifted:
+            times = tuple(time for _, time in values)
+            model: Transfer = LoopOfRates(*told, point=spots[0].name, times=times)
+        else:
+            model = Transfer(*told, fragile=self._fragile(spots, others, openings, sign, pade))
+        return self._hinted(model, spots, spots, cut)
+
+    def _loop_ends(self, points: Names) -> tuple[SignalElement, ...]:
+        """The signals at which a loop is opened. Raises UsageError (E501), also where two of them are one signal."""
+        spots = self._places(points)
+        if not spots:
+            raise UsageError(Fault("E501", "loop", "is opened at no signal.", "Name a signal."))
+        places = [(spot.column, spot.slots) for spot in spots]
+        for k, spot in enumerate(spots):
+            first = spots[places.index(places[k])]
+            if first is not spot:
+                message = "appears twice." if first.name == spot.name else f"is the same signal as {first.name}."
+                raise UsageError(Fault("E501", spot.name, message, "Open the loop there once."))
+        return spots
+
+    def _fragile(
+        self, spots: Sequence[SignalElement], cut: Sequence[SignalElement], openings: Names, sign: float, pade: int
+    ) -> Callable[[], Fault | None] | None:
+        """Of a loop at one element of a vector: whether all elements that feed back are fragile together.
+
+        Larger vectors than `_MOST_CHANNELS` are left out: their margins together take too long to look at unasked.
+        """
+        base, index = indexed(spots[0].name)
+        if len(spots) > 1 or index is None:
+            return None
+        vector = self._places(base)
+        if len(vector) > _MOST_CHANNELS or {spot.column for spot in cut} & {spot.column for spot in vector}:
+            return None
+        try:
+            whole = self.loop_transfer(base, openings=openings, sign=sign, pade=pade)
+        except (AnalysisError, UsageError):  # only this element can be opened
+            return None
+        lives = [part.any(axis=axis) for part, axis in ((whole.B, 0), (whole.D, 0), (whole.C, 1), (whole.D, 1))]
+        kept = np.flatnonzero((lives[0] | lives[1]) & (lives[2] | lives[3])).tolist()
+        if len(kept) < 2:
+            return None
+        names = [whole.signals[0][k] for k in kept]
+        parts = whole.B[:, kept], whole.C[kept], whole.D[np.ix_(kept, kept)]
+        together = Transfer(whole.A, *parts, whole.dt, whole.states, (names, names), name=whole.name)
+        return partial(fragile_together, together, spots[0].name)
 
     def _between_ticks(self, spot: SignalElement, sampled: Sampled) -> AnalysisError:
         """The error for a loop that is opened where the signal changes between ticks and acts there."""
@@ -240,16 +302,16 @@ class Linearization(ReplacedSlopes):
         cure = cure or "Open it at a signal that is held, or that is read at ticks only."
         return AnalysisError(Fault("E705", spot.name, message, cure))
 
-    def sensitivity(self, point: str, *, openings: Names = (), pade: int = 0) -> LinearModel:
-        """S: from a perturbation added at a signal to the signal behind it."""
-        spot = place(self.graph, point)
-        return self.model(spot.name, spot.name, openings=openings, pade=pade)
+    def sensitivity(self, points: Names, *, openings: Names = (), pade: int = 0) -> LinearModel:
+        """S: from a perturbation added at a signal to the signal behind it; at several signals, their matrix."""
+        names = [spot.name for spot in self._loop_ends(points)]
+        return self.model(names, names, openings=openings, pade=pade)
 
-    def complementary(self, point: str, *, openings: Names = (), pade: int = 0) -> LinearModel:
+    def complementary(self, points: Names, *, openings: Names = (), pade: int = 0) -> LinearModel:
         """T = 1 - S: from a perturbation added at a signal to what comes back there, with its sign turned."""
-        spot = place(self.graph, point)
-        S = self.transfer(spot.name, spot.name, openings=openings, pade=pade)
-        return _state_space(replace(S, C=-S.C, D=np.eye(1) - S.D, name="", hint=""))
+        names = [spot.name for spot in self._loop_ends(points)]
+        S = self.transfer(names, names, openings=openings, pade=pade)
+        return _state_space(replace(S, C=-S.C, D=np.eye(len(S.D)) - S.D, name="", hint=""))
 
     def sparse(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> tuple[object, object, object, object]:
         """A, B, C, D of a continuous model as sparse matrices (CSR), of large diagrams.
@@ -324,22 +386,22 @@ class Linearization(ReplacedSlopes):
             raise UsageError(Fault("E501", self.graph.plan.name, message, "Use model()."))
         return replace(delayed_model(wired, self.graph.plan, ins, outs), name=self.graph.plan.name, report=report)
 
-    def delayed_loop(self, point: str, *, openings: Names = (), sign: float = -1.0) -> DelayedModel:
+    def delayed_loop(self, points: Names, *, openings: Names = (), sign: float = -1.0) -> DelayedModel:
         """The loop transfer at a signal, with its delays as they are: for `margins`. Arguments as of `loop`."""
-        spot = place(self.graph, point)
-        return self.delayed(spot.name, spot.name, openings=[spot.name, *listed(openings)]).scaled(sign)
+        names = [spot.name for spot in self._loop_ends(points)]
+        return self.delayed(names, names, openings=[*names, *listed(openings)]).scaled(sign)
 
     def exact_loop(
-        self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0
+        self, points: Names, *, openings: Names = (), sign: float = -1.0, pade: int = 0
     ) -> Transfer | DelayedModel:
         """Return `loop_transfer`, or without `pade` `delayed_loop` where delays contribute and nothing sampled does."""
         try:
-            return self.loop_transfer(point, openings=openings, sign=sign, pade=pade)
+            return self.loop_transfer(points, openings=openings, sign=sign, pade=pade)
         except AnalysisError as error:
             if {fault.code for fault in error.faults} != {"E707"}:
                 raise
             refused = error
         try:
-            return self.delayed_loop(point, openings=openings, sign=sign)
+            return self.delayed_loop(points, openings=openings, sign=sign)
         except UsageError:  # sampled blocks contribute too
             raise refused from None

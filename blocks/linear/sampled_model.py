@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -57,7 +58,6 @@ class Sampled:
         self.nx, self.nd, self.ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
         self.copies = LateCopies(plan, m, histories)
         self.seen, self.node = self.copies.seen, self.copies.node
-        self.acts = bool(np.any(m["xe"] != 0)) or bool(histories and np.any(m["he"] != 0))
         self._flows: dict[Time, Array] = {}
         place = {slot: k for k, slot in enumerate(self.slots)}
         self.rates = [
@@ -127,81 +127,114 @@ class Sampled:
             self._moved(kept, time, duration, after, now)
         return *self._made(kept, now, np.vstack(outputs)), steps
 
-    def loop(self) -> tuple[dict[str, Array], list[str], list[float]]:
-        """The loop transfer at one signal, with a value of its own wherever the signal is read: matrices as of `model`,
-        the names of the states, and the times of the values in the pattern, in s.
+    def loop(self) -> tuple[dict[str, Array], list[str], list[tuple[int, float]]]:
+        """The loop transfer at some signals, with a value of its own wherever one is read: matrices as of `model`, the
+        names of the states, and for each value the number of its signal and its time in the pattern, in s.
 
         What is read at a tick is the signal before discrete updates, and what acts until the next one is the signal
         behind them: two values where an update changes it, else one. What comes back at a value depends on itself and
-        on those before it, so that closing the loop value by value gives the closed loop of the diagram. The signal
-        must be held between ticks (yx = 0), or be read at ticks only (xe = 0).
+        on those before it, so that closing the loop value by value gives the closed loop of the diagram. A signal must
+        be held between ticks, or be read at ticks only (see `moving`).
 
-        With delays the signal may also change when a held value arrives behind one. If it changes at such times only,
+        With delays a signal may also change when a held value arrives behind one. If signals change at such times only,
         the state of the model is the one before the first of them.
 
-        Raises AnalysisError (E703) where there are too many values.
+        Raises AnalysisError: E703 where there are too many values, E705 where signals take theirs at different times.
         """
-        m, due_at, values = self.m, dict(self.ticks), dict[Time, tuple[int | None, int | None]]()
-        arrivals = self._arrivals() if self.acts else set()
-        is_own = not self.copies.held or not self.acts or bool(np.any(self.seen[:, self.nx : self.nx + self.nd] != 0))
-        times: list[float] = []
-        for time in sorted({*due_at, *arrivals}):  # by instant: the numbers of the values at it and behind it
-            at = behind = None
-            if time in due_at and is_own:
-                read = sorted({k for number in due_at[time] for part in self.rates[number][2:] for k in part})
-                changed = [k for number in due_at[time] for k in self.rates[number][3]]
-                if np.any(m["de"][read] != 0):
-                    at = len(times)
-                    times.append(float(time) * self.base)
-                if self.acts and at is not None and not np.any(m["yd"][:, changed] != 0):
-                    behind = at
-                elif self.acts:
-                    behind = len(times)
-                    times.append(float(time) * self.base)
-            elif time in arrivals:
-                at = behind = len(times)
-                times.append(float(time) * self.base)
-            values[time] = at, behind
-        if (self.nx + self.nd + len(times)) ** 2 > MOST:
-            message = f"its pattern has {len(times)} ticks: the loop over all of them is too large."
+        m, due_at, acts = self.m, dict(self.ticks), self._acts
+        is_own = np.any(self.seen[:, self.nx : self.nx + self.nd] != 0, axis=1)
+        is_own = self._onward(is_own) | ~acts if self.copies.held else np.ones(self.ne, dtype=bool)
+        arrivals = self._arrivals()
+        values: list[tuple[int, Time]] = []
+        numbers: dict[Time, tuple[list[int], list[int]]] = {}  # by instant: of the values at it and behind it
+        for time in sorted({*due_at, *arrivals}):
+            read = sorted({k for number in due_at.get(time, ()) for part in self.rates[number][2:] for k in part})
+            changed = [k for number in due_at.get(time, ()) for k in self.rates[number][3]]
+            reads = self._back(np.any(m["de"][read] != 0, axis=0))
+            changes = self._onward(np.any(m["yd"][:, changed] != 0, axis=1))
+            ticks = is_own & (time in due_at)
+            arrives = arrivals.get(time, np.zeros(self.ne, dtype=bool))
+            both = np.where(ticks, reads, arrives), ticks & acts & (changes | ~reads)
+            numbers[time] = [], []
+            for some, place in zip(both, numbers[time], strict=True):
+                place += range(len(values), len(values) + np.count_nonzero(some))
+                values += [(int(i), time) for i in np.flatnonzero(some)]
+        if (self.nx + self.nd + len(values)) ** 2 > MOST:
+            message = f"its pattern has {len(values)} ticks: the loop over all of them is too large."
             cure = "Choose periods with a shorter common multiple."
             raise AnalysisError(Fault("E703", self.plan.name, message, cure))
-        begin = next((time for time, pair in values.items() if self.acts and pair != (None, None)), 0)
-        kept = self._kept(values, begin)
-        now = self._begun(kept, len(times))
-        inputs, size = now.shape[1] - len(times), self.copies.size
-        outputs = np.zeros((len(times), now.shape[1]))
+        begin = next((time for time, (at, behind) in numbers.items() if at or behind), 0) if np.any(acts) else 0
+        known = {i for i, time in values if time == begin}
+        for i in np.flatnonzero(acts).tolist():
+            if i not in known:  # what it was before would be a further state
+                message = "takes its values at other times than the others: when held values arrive behind a delay."
+                cure = "Open the loop before the delays, at signals that are held."
+                raise AnalysisError(Fault("E705", self.inputs[i], message, cure))
+        kept = self._kept(numbers, begin)
+        now = self._begun(kept, len(values))
+        inputs, size = now.shape[1] - len(values), self.copies.size
+        outputs = np.zeros((len(values), now.shape[1]))
+        signal = np.array([i for i, _ in values], dtype=np.intp)
         for time, duration in kept.spans:
             kept.set(time, now)
-            at, behind = values.get(time, (None, None))
+            at, behind = numbers.get(time, ([], []))
             refreshed, after = self.tick(due_at.get(time, ()))
-            if at is not None:
-                now[self._e] = np.eye(1, now.shape[1], inputs + at)
-                outputs[at] = (self.seen @ refreshed @ now[:size])[0]
+            self._enter(now, signal[at], inputs + np.array(at, dtype=np.intp))
+            outputs[at] = (self.seen @ refreshed @ now[:size])[signal[at]]
             now[:size] = after @ now[:size]
-            if behind is not None and behind != at:
-                now[self._e] = np.eye(1, now.shape[1], inputs + behind)
-                outputs[behind] = (self.seen @ now[:size])[0]
+            self._enter(now, signal[behind], inputs + np.array(behind, dtype=np.intp))
+            outputs[behind] = (self.seen @ now[:size])[signal[behind]]
             self._moved(kept, time, duration, None, now)
-        return *self._made(kept, now, outputs), times
+        return *self._made(kept, now, outputs), [(i, float(time) * self.base) for i, time in values]
 
-    def is_moving(self) -> bool:
-        """Return whether the output changes between ticks, other than when a held value arrives behind a delay.
+    def _enter(self, now: Array, signals: Array, columns: Array) -> None:
+        """Let inputs be those of some columns from now on."""
+        now[self._e.start + signals] = 0.0
+        now[self._e.start + signals, columns] = 1.0
+
+    def moving(self) -> list[int]:
+        """Find the signals that act and change between ticks, other than when a held value arrives behind a delay.
 
         A loop that is opened there has no values from tick to tick. The input may be such a change itself: if it comes
         back behind a delay, the closed loop has a path in continuous time from the delay to itself.
         """
-        return bool(np.any(self.seen[:, self.copies.states | self.copies.inputs] != 0))
+        changes = np.any(self.seen[:, self.copies.states | self.copies.inputs] != 0, axis=1)
+        return [int(i) for i in np.flatnonzero(self._onward(changes) & self._acts)]
 
-    def _arrivals(self) -> set[Time]:
-        """Find the times in the pattern at which held values arrive behind delays and change the output."""
-        times: set[Time] = set()
+    @property
+    def _acts(self) -> Array:
+        """Whether each input of a loop acts between ticks."""
+        acts = np.any(self.m["xe"] != 0, axis=0)
+        return self._back(acts | np.any(self.m["he"] != 0, axis=0) if "he" in self.m else acts)
+
+    @cached_property
+    def _at_once(self) -> Array:
+        """Whether output i of a loop depends on input j at once, also through other signals; each on itself."""
+        links = (self.m["ye"] != 0) | np.eye(self.ne, dtype=bool)
+        for _ in range(self.ne):
+            links = links @ links
+        return np.asarray(links)
+
+    def _onward(self, some: Array) -> Array:
+        """The signals of a loop that are among `some`, or depend on one of them at once."""
+        return np.asarray(self._at_once @ some)
+
+    def _back(self, some: Array) -> Array:
+        """The signals of a loop that are among `some`, or on which one of them depends at once."""
+        return np.asarray(some @ self._at_once)
+
+    def _arrivals(self) -> dict[Time, Array]:
+        """Find the times in the pattern at which held values arrive behind delays, and the signals that they change."""
+        times: dict[Time, Array] = {}
         for lag in self.copies.held:
             for tick, due in self.ticks:
                 changed = [k for number in due for part in self.rates[number][2:] for k in part]
                 places = [self.copies.place(lag, self.nx + k) for k in changed]
-                if np.any(self.seen[:, [place for place in places if place is not None]] != 0):
-                    times.add((tick + lag) % self.period)
+                arrives = np.any(self.seen[:, [place for place in places if place is not None]] != 0, axis=1)
+                arrives = self._onward(arrives) & self._acts
+                if np.any(arrives):
+                    time = (tick + lag) % self.period
+                    times[time] = times.get(time, False) | arrives
         return times
 
     @property

@@ -6,12 +6,13 @@ loaded.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..text.arrays import Array
+from ..text.errors import Fault
 from .model_report import BlockReport
 
 
@@ -20,7 +21,7 @@ class Transfer:
     """dx/dt = A x + B u, y = C x + D u (or x(k+1) = ... where dt is a period in s), in SI units.
 
     states: their names; signals: the names of the inputs and of the outputs in the diagram; units: theirs. name: of the
-    diagram. report, hint: as of `LinearModel`.
+    diagram. report, hint, fragile: as of `LinearModel`.
     """
 
     A: Array
@@ -34,6 +35,7 @@ class Transfer:
     name: str = ""
     report: tuple[BlockReport, ...] = ()
     hint: str = ""
+    fragile: Callable[[], Fault | None] | None = None
 
     @property
     def nstates(self) -> int:
@@ -48,7 +50,7 @@ class Transfer:
         return int(self.D.shape[1])
 
     def closed(self) -> Transfer:
-        """Of a loop transfer L: T = L/(1 + L)."""
+        """Of a loop transfer L: T = L/(1 + L), or of a matrix (I + L)^-1 L."""
         B, C, D = self.B, self.C, self.D
         K = np.linalg.inv(np.eye(len(D)) + D)
         A, B, C, D = self.A - B @ K @ C, B @ K, K @ C, K @ D

@@ -70,6 +70,7 @@ MARGINS = {
 }
 """What a sweep can tell of the linear model of each row."""
 _OF_ENDS = ("bandwidth", "slowest_pole", "damping")
+_OF_CHANNELS = ("disk_margin", "Ms", "Mt", "slowest_pole", "damping")
 _SIGNAL = Text(is_empty=False, refers="signal")
 _SIZES = Table(AnyOf(Scalar(above=0), QUANTITY), _SIGNAL)
 
@@ -83,12 +84,15 @@ def _margin(value: Mapping[str, object], path: Steps, told: Told) -> Collection[
         told.fault("E009", path, 'a margin needs either "loop", the signal at which it is opened, or "from" and "to".')
     elif not is_loop and kind not in _OF_ENDS:
         told.fault("E009", path, f'{kind} needs a "loop", the signal at which the loop is opened.')
+    elif isinstance(value.get("loop"), list) and kind not in _OF_CHANNELS:
+        message = f"{kind} is of a loop at one signal; of several signals there are {', '.join(_OF_CHANNELS)}."
+        told.fault("E009", path, message)
     return ()
 
 
 MARGIN = Object(
     Field("type", Text(meanings=MARGINS), "The number that is computed from the linear model.", required=True),
-    Field("loop", _SIGNAL, "The signal at which the loop is opened."),
+    Field("loop", AnyOf(_SIGNAL, ListOf(_SIGNAL, 1)), "The signal at which the loop is opened; several: together."),
     Field("from", _SIGNAL, "Where a change is put in."),
     Field("to", _SIGNAL, "Where it is looked at."),
     Field("openings", ListOf(_SIGNAL), "Signals that are cut."),
@@ -109,6 +113,10 @@ MARGIN = Object(
         ],
         "if": {"required": ["from"]},
         "then": {"properties": {"type": {"enum": [*_OF_ENDS]}}},
+        "dependentSchemas": {"loop": {
+            "if": {"properties": {"loop": {"type": "array"}}},
+            "then": {"properties": {"type": {"enum": [*_OF_CHANNELS]}}},
+        }},
     })],
     what='an object such as {"type": "gain_margin", "loop": "control.u"}',
     strays={"held": 'It is "inputs" now.'},

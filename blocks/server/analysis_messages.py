@@ -191,9 +191,11 @@ def _over_frequency(session: Session, linearizer: Linearizer, input: str, output
     def made(pade: int) -> Transfer:
         if output:
             return linearizer.transfer(input, output, pade=pade)
-        return linearizer.loop_transfer(input, pade=pade)
+        return linearizer.loop_transfer(place(linearizer.graph, input).name, pade=pade)
 
     model, notes = _or_pade(made)
+    fragile = model.fragile() if model.fragile else None  # a note of the page, and no warning of the server
+    model = replace(model, fragile=None)
     exact: Transfer | DelayedModel = model
     unstable, integrators = None, 0
     if not output:
@@ -209,7 +211,7 @@ def _over_frequency(session: Session, linearizer: Linearizer, input: str, output
         known = margins(exact, unstable_poles=unstable, integrators=integrators, check=check)
         of_model = known if exact is model else margins(model, check=check)
         told |= {"margins": known.as_json(), "rows": [list(row) for part in known.parts() for row in part.rows]}
-    told["more"] = [*notes, *lines(model, is_loop=not output, known=of_model)]
+    told["more"] = [*([str(fragile)] if fragile else []), *notes, *lines(model, of_model)]
     if isinstance(model, LoopOfRates):  # one frequency comes back as several
         return told
     shown = single_channels(exact, "response")[0]

@@ -19,8 +19,10 @@ import numpy as np
 
 from ..api.batch import Batch, BatchRows
 from ..api.case import Case, PointWords
+from ..frequency.disk import DiskMargins, disk_margins
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, poles
+from ..linear.transfer import LoopOfRates, Transfer
 from ..model.study_grammar import MARGIN
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
@@ -30,7 +32,6 @@ from ..text.printable import legible
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
     from ..linear.harmonic_balance import Linearizer
-    from ..linear.transfer import Transfer
 
 _OF_POINT = ("at", "inputs", "amplitude", "sigma", "overrides")
 _OF_LOOP = ("openings", "pade")
@@ -38,6 +39,9 @@ _BY_LOOP: Mapping[str, Callable[[Margins], float | None]] = {
     "gain_margin": lambda m: m.gain, "phase_margin": lambda m: m.phase_deg, "delay_margin": lambda m: m.delay,
     "modulus_margin": lambda m: m.modulus, "disk_margin": lambda m: m.disk, "Ms": lambda m: m.Ms,
     "Mt": lambda m: m.Mt, "crossover": lambda m: m.crossover, "bandwidth": lambda m: m.bandwidth,
+}  # fmt: skip
+_BY_CHANNELS: Mapping[str, Callable[[DiskMargins], float]] = {
+    "disk_margin": lambda m: m.disk, "Ms": lambda m: m.Ms, "Mt": lambda m: m.Mt,
 }  # fmt: skip
 _UNITS = {
     "phase_margin": "deg", "delay_margin": "s", "crossover": "rad/s", "bandwidth": "rad/s", "slowest_pole": "1/s",
@@ -48,7 +52,7 @@ _ENDLESS = ("gain_margin", "phase_margin", "delay_margin")
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """A column: its type (of MARGINS), and where it is taken: at a loop, or from one signal to another.
+    """A column: its type (of MARGINS), and where it is taken: at a loop of some signals, or from one signal to another.
 
     point: of at, inputs, amplitude, sigma and overrides what is given; how: of openings and pade. As of
     `Diagram.linearizer` and `Linearizer.loop`.
@@ -56,7 +60,7 @@ class Margin:
 
     name: str
     type: str
-    loop: str
+    loop: tuple[str, ...]
     ends: tuple[str, str]
     point: Mapping[str, Any] = field(default_factory=dict)
     how: Mapping[str, Any] = field(default_factory=dict)
@@ -72,15 +76,20 @@ class Margin:
         if not self.loop:
             width = bandwidth(seen.transfer(self))
             return np.inf if width is None else float(width)
-        known = seen.margins(self)
+        known, place = seen.margins(self), ", ".join(self.loop)
         if known.stable is None:
             message = "the stability of the closed loop is unknown, because delays lie on several of its paths."
-            raise AnalysisError(Fault("E705", self.loop, message, 'Replace the delays by Padé models: "pade": 3.'))
+            raise AnalysisError(Fault("E705", place, message, 'Replace the delays by Padé models: "pade": 3.'))
         if not known.stable:
             shown = ", ".join(f"{pole:.4g}" for pole in (known.unstable or known.border)[:3])
             words = "at the border of stability within rounding" if known.verdict == "border" else "not stable"
             message, cure = f"the closed loop is {words} (poles {shown}).", "Only stable loops have margins."
-            raise AnalysisError(Fault("E705", self.loop, message, cure))
+            raise AnalysisError(Fault("E705", place, message, cure))
+        if isinstance(known, DiskMargins):
+            if self.type not in _BY_CHANNELS:
+                message, cure = f"has several channels, which have no {self.type}.", f"Use {', '.join(_BY_CHANNELS)}."
+                raise UsageError(Fault("E501", place, message, cure))
+            return float(_BY_CHANNELS[self.type](known))
         value = _BY_LOOP[self.type](known)
         if value is None and self.type in _ENDLESS and not (known.several_rates and self.type == "delay_margin"):
             return np.inf
@@ -90,7 +99,7 @@ class Margin:
                 if known.several_rates
                 else "the loop does not have this margin"
             )
-            raise AnalysisError(Fault("E705", self.loop, f"{what} ({self.type}).", "Choose another margin."))
+            raise AnalysisError(Fault("E705", place, f"{what} ({self.type}).", "Choose another margin."))
         return float(value)
 
 
@@ -105,7 +114,9 @@ def margins_of(given: Mapping[str, Mapping[str, object]]) -> tuple[Margin, ...]:
         point = {key: entry[key] for key in _OF_POINT if key in entry}
         how = {key: entry[key] for key in _OF_LOOP if key in entry}
         ends = str(entry.get("from", "")), str(entry.get("to", ""))
-        made.append(Margin(str(name), str(entry["type"]), str(entry.get("loop", "")), ends, point, how))
+        loop: Any = entry.get("loop", ())
+        loop = (loop,) if isinstance(loop, str) else tuple(loop)
+        made.append(Margin(str(name), str(entry["type"]), loop, ends, point, how))
     return tuple(made)
 
 
@@ -178,16 +189,19 @@ class _Row:
         self.diagram, self.seed, self.case = diagram, seed, case.updated(parameters=row)
         self.known: dict[str, Any] = {}
 
-    def margins(self, margin: Margin) -> Margins:
-        def made() -> Margins:
-            linearizer = self._linearizer(margin)
-            return margins(linearizer.exact_loop(margin.loop, **margin.how))
+    def margins(self, margin: Margin) -> Margins | DiskMargins:
+        def made() -> Margins | DiskMargins:
+            loop = self._linearizer(margin).exact_loop(margin.loop, **margin.how)
+            if self.seed is not None and isinstance(loop, Transfer):  # rows repeat no warning of the diagram itself
+                loop = replace(loop, fragile=None)
+            is_one = len(loop.signals[0]) == 1 or isinstance(loop, LoopOfRates)
+            return margins(loop) if is_one else disk_margins(loop)
 
-        known: Margins = self._once(f"margins {margin.loop} {margin.how}", margin, made)
+        known: Margins | DiskMargins = self._once(f"margins {margin.loop} {margin.how}", margin, made)
         return known
 
     def transfer(self, margin: Margin) -> Transfer:
-        ends = (margin.loop, margin.loop) if margin.loop else margin.ends
+        ends: tuple[Any, Any] = (margin.loop, margin.loop) if margin.loop else margin.ends
 
         def made() -> Transfer:
             return self._linearizer(margin).transfer(*ends, **margin.how)

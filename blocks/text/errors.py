@@ -10,8 +10,8 @@
         AnalysisError (ValueError)       a question about frequencies that has no answer, or not this one
 
 Codes: E0xx reading a file, E1xx the model, E2xx FMUs, E3xx a run, E4xx a block class, E5xx a call, E6xx compiled code,
-E7xx linear models and frequency responses, E9xx blocks itself; W1xx, W2xx, W3xx, W5xx warnings. Each one is explained
-in a file of `blocks.text.explanations`.
+E7xx linear models and frequency responses, E9xx blocks itself; W1xx, W2xx, W3xx, W5xx, W7xx warnings. Each one is
+explained in a file of `blocks.text.explanations`.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from itertools import pairwise, permutations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from blocks import Diagram, Results, __version__
@@ -148,8 +149,11 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
         ),
         (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is not a format of pictures. Use .svg, .png or .pdf."),
         (["--plot", "x"], "E501", "x: a name without ending is not a format of pictures. Use .svg, .png or .pdf."),
-        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder "
-            "does not exist"),
+        (
+            ["--plot", "no/such/folder/x.svg"],
+            "E501",
+            "--plot no/such/folder/x.svg: the folder no/such/folder does not exist",
+        ),
     ],
 )
 def test_what_cannot_be_meant_is_told_with_a_cure(
@@ -1079,6 +1083,43 @@ def test_a_quantizer_in_a_servo_is_taken_as_a_gain_where_the_command_line_says_s
         assert says in capsys.readouterr().err
     assert main(["linearize", path, "--loop", "r"]) == 2
     assert "it is not part of a loop. Open the loop at a signal that feeds back to itself." in capsys.readouterr().err
+
+
+def test_linearize_opens_a_loop_at_several_signals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = "diagrams/analysis/satellite.json"
+    channels = ["--loop", "k.y[0]", "--loop", "k.y[1]"]
+    assert main(["linearize", path, *channels, "--plot", str(tmp_path / "both.svg")]) == 0
+    told = capsys.readouterr()
+    assert "disk margin     0.099751 at 0.049876 rad/s: gain x 0.90499 to 1.105 and phase +-5.7106 deg" in told.out
+    assert "W701" not in told.err
+    assert "S of satellite: loop at k.y[0], k.y[1]" in (tmp_path / "both.svg").read_text()
+    assert main(["linearize", path, *channels, "--json"]) == 0
+    one = json.loads(capsys.readouterr().out)
+    assert main(["linearize", path, "--loop", "k.y", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == one
+    found = one["margins"]
+    w = math.sqrt(101) - 10
+    assert found["disk"] == pytest.approx(2 * math.sqrt((w * w + 1) / ((w + 20) ** 2 + 1)), rel=1e-9)
+    assert found["alone"]["k.y[1]"]["phase_deg"] == pytest.approx(90.0)
+    assert np.abs([complex(*f) for f in found["worst"].values()]) == pytest.approx(np.ones(2), rel=1e-6)
+    assert (found["stable"], found["border"], one["bandwidth"]) == (True, False, None)
+    for kind, status in (("poles", 0), ("sigma", 0), ("bode", 2), ("step", 2)):
+        drawn = str(tmp_path / f"{kind}.svg")
+        assert main(["linearize", path, *channels, "--plot", drawn, "--figure", kind]) == status
+    capsys.readouterr()
+    assert main(["linearize", path, "--loop", "k.y[0]", "--loop", "k.y[0]"]) == 2
+    assert "E501 k.y[0]: appears twice" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("always:W701")
+def test_linearize_warns_once_of_a_channel_that_is_fragile_together(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, drawn = "diagrams/analysis/satellite.json", str(tmp_path / "one.svg")
+    assert main(["linearize", path, "--loop", "k.y[0]", "--plot", drawn]) == 0
+    told = capsys.readouterr()
+    assert told.err.count("W701 k.y[0]: this margin is of one channel alone.") == 1
+    assert "phase margin    90 deg" in told.out
 
 
 def test_linearize_keeps_the_dead_time_of_a_loop_exact_without_pade(

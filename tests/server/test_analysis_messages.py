@@ -77,6 +77,15 @@ def test_margins_of_a_wire_are_those_of_the_closed_form_and_of_python_control(as
     assert [figure[:4] for figure in told["figures"]] == ["<svg", "<svg"]
 
 
+def test_a_channel_that_is_fragile_together_with_the_others_has_a_note(asking: Any) -> None:
+    ask, _ = asking(DIAGRAMS / "analysis" / "satellite.json")
+    told = ask("response", input="k.y[0]")
+    assert told["margins"]["phase_deg"] == pytest.approx(90.0)
+    assert told["more"][0].startswith("W701 k.y[0]: this margin is of one channel alone.")
+    with pytest.raises(UsageError, match=r"E501 k\.y: has 2 elements"):
+        ask("response", input="k.y")
+
+
 def test_a_loop_that_is_not_stable_and_one_that_bears_any_gain_are_told_as_such(asking: Any) -> None:
     ask, session = asking(loop(2.0), parameters={"gain.k": 12.0})
     told = ask("response", input="gain.y")["margins"]

@@ -149,6 +149,8 @@ def claim(**entry: Any) -> dict[str, Any]:
         (changed(measures=["dipp"]), "E105", "sweeps.many.measures", "dip"),
         (changed(log=["plant.y"]), "E105", "sweeps.many.log", "plant"),
         (margin(type="gain", loop="control.u"), "E003", "sweeps.many.margins.gm.type", "margin"),
+        (margin(type="delay_margin", loop=["control.u"]), "E009", "sweeps.many.margins.gm", "of several signals"),
+        (margin(type="Ms", loop=["control.v"]), "E501", "sweeps.many.margins.gm", "control.u"),
         (margin(type="Ms", loop="control.v"), "E501", "sweeps.many.margins.gm", "control.u"),
         (changed(scenarios={"free": {"puhs": 1}}), "E106", "sweeps.many.scenarios.free", "push"),
         (changed(settings={"seed": 1}), "E003", "sweeps.many.settings.seed", "seed"),

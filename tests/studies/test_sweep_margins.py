@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, FirstOrder, Gain, Integrator, Step, Sum, TransportDelay, ZeroOrderHold
-from blocks.analysis import bandwidth, margins, poles
+from blocks.analysis import bandwidth, disk_margins, margins, poles
 from blocks.model.study_grammar import MARGINS
 from blocks.studies.sweep import Sweep
 from blocks.text.errors import UsageError
@@ -35,6 +36,34 @@ def loop_of(mass: float, omega_o: float, omega_c: float = 8.0, damping: float = 
     heard = A - np.array([[0.0], [b0], [0.0]]) @ law  # the observer hears the control that it leads to
     plant = control.ss([[0, 1], [-stiffness / mass, -damping / mass]], [[0], [1 / mass]], [[1, 0]], 0)
     return control.series(plant, control.ss(heard, gains, law, 0))
+
+
+def test_a_row_has_the_margins_of_several_channels_together() -> None:
+    satellite = Diagram.load("diagrams/analysis/satellite.json")
+    both = ["k.y[0]", "k.y[1]"]
+    wanted: dict[str, Any] = {
+        name: {"type": name, "loop": both} for name in ("disk_margin", "Ms", "Mt", "slowest_pole")
+    }
+    wanted["vector"] = {"type": "disk_margin", "loop": "k.y"}
+    sweep = satellite.sweep({"plant.A": [[[0, a], [-a, 0]] for a in (0, 5, 10)]}, margins=wanted, stop=0.1)
+    for k, a in enumerate((0, 5, 10)):
+        linearizer = satellite.linearizer(parameters={"plant.A": [[0, a], [-a, 0]]})
+        found = disk_margins(linearizer.loop(both))
+        if not found.stable:
+            assert np.isnan(sweep.measures["disk_margin"][k])
+            assert "E705 k.y[0], k.y[1]: the closed loop is not stable" in sweep.messages[k]
+            continue
+        for name, value in {"disk_margin": found.disk, "vector": found.disk, "Ms": found.Ms, "Mt": found.Mt}.items():
+            assert sweep.measures[name][k] == pytest.approx(value, rel=1e-9), name
+        assert sweep.measures["slowest_pole"][k] == pytest.approx(-1.0)
+    for loop, words in (
+        (both, "E501 margins.gm: gain_margin is of a loop at one signal; of several signals there are disk_margin"),
+        ("k.y", "has several channels, which have no gain_margin. Use disk_margin, Ms, Mt."),
+    ):
+        with pytest.raises(UsageError, match=re.escape(words)):
+            satellite.sweep(
+                {"k.K": [[[-1, 0], [0, -1]]]}, margins={"gm": {"type": "gain_margin", "loop": loop}}, stop=0.1
+            )
 
 
 def test_margins_of_each_row_are_those_of_python_control() -> None:

@@ -35,7 +35,8 @@ def command(text: str, patch: pytest.MonkeyPatch) -> Ran:
     while re.fullmatch(r"[A-Z_]+=.*", words[0]):
         patch.setenv(*words.pop(0).split("=", 1))
     assert words[0] == "blocks"
-    with printed() as out:
+    with printed() as out, warnings.catch_warnings():
+        warnings.simplefilter("always")
         try:
             status = main(words[1:])
         except SystemExit as ended:  # argparse

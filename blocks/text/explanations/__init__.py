@@ -105,6 +105,7 @@ GROUPS = (
     CodeGroup("W2", "FMUs: warnings", None, 0),
     CodeGroup("W3", "A run: warnings", None, 0),
     CodeGroup("W5", "Many runs: warnings", None, 0),
+    CodeGroup("W7", "Linear models: warnings", None, 0),
 )
 
 
