@@ -62,7 +62,6 @@ from .case import (
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
-from .foreign_systems import LinearSystem, as_block
 from .last_made import LastMade, names_files
 from .late import late
 from .ports import Handle, PortName, plain_settings, signal_names, sink_text, source_text, text_of
@@ -77,6 +76,7 @@ if TYPE_CHECKING:
     from ..linear.point import Point
     from ..model.trust import Paths
     from .batch import Batch
+    from .foreign_systems import LinearSystem
     from .prepared_model import PreparedModel
     from .run import Run, RunOptions
 
@@ -266,7 +266,7 @@ class Diagram:
         if isinstance(block, Diagram):
             block = subdiagram(block)
         if not isinstance(block, Subdiagram):
-            return self._draft.block(name, as_block(name, block), **said)
+            return self._draft.block(name, _as_block(name, block), **said)
         source = block.source._draft if isinstance(block.source, Diagram) else block.source
         return self._draft.subdiagram(name, source, block.parameters, **said)
 
@@ -772,7 +772,7 @@ class Diagram:
 
         What is no name of a diagram ("body.phi[1]", as FMUs have) becomes one ("body_phi_1").
         """
-        own: Block = as_block(name or "alone", block)
+        own: Block = _as_block(name or "alone", block)
         foreign = type(own).declaration.foreign
         kind = type(own).__name__ if foreign is None else as_name(type(own).__name__)
         diagram = cls(name or kind, library=type(own) if foreign is None else ())
@@ -828,6 +828,15 @@ class Diagram:
 
     def __repr__(self) -> str:
         return self._draft.outline()
+
+
+def _as_block(name: str, block: object) -> Any:
+    """Return the block for a linear system of another package, and anything else as it is. name: for errors."""
+    if isinstance(block, Block):
+        return block
+    from .foreign_systems import as_block
+
+    return as_block(name, block)
 
 
 def run_of(diagram: Diagram, case: Case, options: RunOptions, flat: Flat | None = None) -> Run:

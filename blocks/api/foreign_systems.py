@@ -38,8 +38,6 @@ def as_block(name: str, system: object) -> Any:
 
     Raises UsageError (E501) for a system that no block of the library can be.
     """
-    if isinstance(system, Block):
-        return system
     if is_of(system, "lti", "dlti", package="scipy.signal"):
         return _of_scipy(name, system)
     if is_of(system, "StateSpace"):
