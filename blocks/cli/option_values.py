@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import csv
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
+from ..host.plain_files import opened
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.quantity_text import value_in
 
@@ -18,6 +21,10 @@ if TYPE_CHECKING:
 
 TIMES = ("start", "stop", "step", "every")
 """The settings that are times."""
+
+
+_LARGEST = 10_000_000
+"""Bytes of a file with values."""
 
 
 def number_of(option: str, text: str | None) -> Any:
@@ -53,9 +60,13 @@ def raw_number(value: Any) -> Any:
 
 
 def assignments(option: str, items: Sequence[str], example: str) -> dict[str, Any]:
-    """NAME=VALUE options as values by name."""
+    """Return NAME=VALUE options as values by name; @FILE stands for the pairs in a CSV file.
+
+    Raises UsageError (E501).
+    """
     values: dict[str, object] = {}
-    for item in items:
+    pairs = (_pairs(option, each[1:]) if each.startswith("@") else [each] for each in items)
+    for item in chain.from_iterable(pairs):
         name, separator, text = item.partition("=")
         if not separator or not name.strip():
             raise UsageError(Fault("E501", f"{option} {item}", "is not NAME=VALUE.", f'Example: {option} "{example}".'))
@@ -65,6 +76,24 @@ def assignments(option: str, items: Sequence[str], example: str) -> dict[str, An
             )
         values[name.strip()] = _parsed(f"{option} {name.strip()}", text)
     return values
+
+
+def _pairs(option: str, path: str) -> Iterator[str]:
+    """Yield the rows name, value and maybe unit of a CSV file as NAME=VALUE; a header "name,value" may be first."""
+    try:
+        with opened(path) as file:
+            text = file.read(_LARGEST).decode("utf-8-sig")
+        rows = list(enumerate(csv.reader(text.splitlines()), 1))
+    except (OSError, UnicodeError, csv.Error) as error:
+        raise UsageError(Fault("E501", f"{option} @{path}", f"cannot be read: {error}.")) from None
+    for line, row in rows:
+        cells = [cell.strip() for cell in row]
+        if not any(cells) or cells[0].startswith("#") or (line == 1 and cells[:2] == ["name", "value"]):
+            continue
+        if not 2 <= len(cells) <= 3 or not cells[0]:
+            what, cure = "is not a name, a value and maybe a unit.", "Write one row for each value: motor.Ra,200,mOhm"
+            raise UsageError(Fault("E501", f"{option} @{path}:{line}", what, cure))
+        yield f"{cells[0]}={' '.join(cells[1:])}"
 
 
 def _parsed(place: str, text: str) -> object:

@@ -136,6 +136,7 @@ def takes_trust(verb: argparse.ArgumentParser) -> None:
 
 def takes_parameters(verb: argparse.ArgumentParser) -> None:
     help = 'set a parameter by its path, or an element of it: torque=2, "motor.Ra=200 mOhm", "plant.A[1,0]=2"'
+    help += "; @FILE.csv: parameters in rows name,value,unit"
     takes_several(verb, "--set", "NAME=VALUE", help, dest="parameters")
 
 

@@ -1319,3 +1319,25 @@ def test_progress_tells_how_long_the_rest_takes(monkeypatch: pytest.MonkeyPatch)
     ]:  # fmt: skip
         monkeypatch.setattr(Progress, "seconds", seconds)
         assert shown.left(share) == told
+
+
+def test_parameters_come_from_a_csv_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "values.csv"
+    path.write_text("name,value,unit\nmotor.Ra,200,mOhm\n\n# gains\n kp , 25\n", encoding="utf-8-sig")
+    lines = []
+    for given in ([f"@{path}"], ["motor.Ra=200 mOhm", "kp=25"]):
+        options = [word for item in given for word in ("--set", item)]
+        assert main(["run", MOTOR, *options, "--json"]) == 0
+        lines.append(json.loads(capsys.readouterr().out.splitlines()[-1])["signals"])
+    assert lines[0] == lines[1]
+    for text, said in (
+        ("motor.Ra", ":1: is not a name, a value and maybe a unit. Write one row for each value: motor.Ra,200,mOhm"),
+        ("kp,1\nkp,2", "E501 --set kp=2: gives kp a second value."),
+        ("kq,1", "E106 kq"),
+    ):
+        path.write_text(text, encoding="utf-8")
+        assert main(["run", MOTOR, "--set", f"@{path}"]) == 2
+        assert said in capsys.readouterr().err
+    for missing in (tmp_path / "no.csv", tmp_path):
+        assert main(["run", MOTOR, "--set", f"@{missing}"]) == 2
+        assert f"E501 --set @{missing}: cannot be read" in capsys.readouterr().err
