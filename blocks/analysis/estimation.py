@@ -395,7 +395,7 @@ class _Estimation:
 
     def _start(self, log: Sequence[str], *, every: object, inputs: Mapping[str, object]) -> Run:
         """A run with rows on a grid, on which a master steps it."""
-        settings = {**self.settings, "log": list(dict.fromkeys(log)), "every": every}
+        settings = {"stop_when": "", **self.settings, "log": list(dict.fromkeys(log)), "every": every}
         if self.is_coupled:
             settings["master"] = {**self._master(), "step": every}
         return self.diagram.start(self.case, inputs={**self.inputs, **inputs}, **settings)

@@ -104,7 +104,8 @@ def operating_points(
     if not _is_coupled(flat):
         return tuple(standing(diagram.point(case, at=time), flat.log) for time in wanted)
     inputs = Case(inputs=at_rest(diagram.value, flat)).updated(inputs=case.inputs).inputs
-    run = diagram.start(Case(stop=max(wanted, default=0.0)).updated(**case.without("inputs").words), inputs=inputs)
+    first = Case(stop=max(wanted, default=0.0), stop_when="")
+    run = diagram.start(first.updated(**case.without("inputs").words), inputs=inputs)
     points: dict[float, OperatingPoint] = {}
     for time in sorted(wanted):
         run.advance_to(time)
@@ -179,7 +180,7 @@ def _settled(
     rest = steps.pop("", min(steps.values(), default=span))  # of what is no FMU
     master = {**case.settings.get("master", {}), "step": rest, "steps": steps}
     progress = None if check is None else lambda *_: check()
-    run = diagram.start(case, inputs=held, stop=span * 2**_MOST, master=master, progress=progress)
+    run = diagram.start(case, inputs=held, stop=span * 2**_MOST, stop_when="", master=master, progress=progress)
     names = list(run.plan.log)
     moved: dict[str, float] = {}
     for k in range(_MOST + 1):

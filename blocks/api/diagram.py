@@ -428,7 +428,7 @@ class Diagram:
         case: Case | None = None,
         *,
         progress: Callable[[float, float], None] | None = None,
-        resume: State | str | Path | None = None,
+        resume: State | OperatingPoint | str | Path | None = None,
         **words: Unpack[Words],
     ) -> Run:
         """A run that is stepped by hand. Arguments as for `run`; `stop` only bounds what adaptive steps may span."""
@@ -442,7 +442,7 @@ class Diagram:
         case: Case | None = None,
         *,
         progress: Callable[[float, float], None] | None = None,
-        resume: State | str | Path | None = None,
+        resume: State | OperatingPoint | str | Path | None = None,
         out: str | Path | None = None,
         **words: Unpack[Words],
     ) -> Results:
@@ -451,7 +451,7 @@ class Diagram:
         case, words: what the diagram is run with: parameters, inputs, variants, measures, engine, stop, step, ... (see
         `Case`). progress: called with the time that is reached and the stop time. resume: a snapshot, or the file of
         one, from which the run goes on as if it had never stopped there; inputs that are given take the place of those
-        of the snapshot.
+        of the snapshot. Or an operating point, in whose state and with whose inputs the run begins, at its start.
 
         out: a file that the results are written to (.csv, .parquet, .mat). The rows of a long run go to the part of a
         Parquet file, `out` and ".part", while it goes on, and its results read them from the file when they are asked

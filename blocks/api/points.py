@@ -92,7 +92,7 @@ def _standing(
 
     last: keeps the source of the run, for runs with other values of parameters.
     """
-    value = case.of(given_value)
+    value, case = case.of(given_value), case.updated(stop_when="")  # a run goes on to the time, whatever ends it
     key = (id(given_value), given_value, repr(case.variants))
     kept: tuple[Prepared, ...] = last.known("standing", key) or ()
     likes = [form for form in kept if form.is_current]

@@ -24,10 +24,11 @@ from ..engines.driver import Simulation
 from ..engines.prepared import Prepared
 from ..engines.run.differences import of_values
 from ..engines.run.engine import Engine
-from ..engines.run.saved_state import Kept, State, check, packed
+from ..engines.run.saved_state import Kept, State, adapted, check, packed
 from ..engines.selection import simulation
 from ..host.ipython_errors import UnknownName
 from ..host.progress_line import live_line
+from ..linear.operating_point import OperatingPoint
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
@@ -46,6 +47,7 @@ from ..text.quantity_text import quantity_of, read_quantity
 from .case import Case, Inputs, sources
 from .given_values import time_of
 from .origin import origin_of
+from .resting import standing_at
 from .streaming import Streaming, part_to_resume
 
 FAR = 10**9
@@ -63,14 +65,14 @@ class RunOptions:
 
     progress: Callable[[float, float], None] | None = None
     notice: Callable[[Fault], None] | None = None
-    resume: State | str | Path | None = None
+    resume: State | OperatingPoint | str | Path | None = None
     loading: Callable[[DiagramValue], None] | None = None
     out: str | Path | None = None
 
     def check(self) -> None:
         """Raise UsageError (E501) for a value of the wrong kind."""
-        kinds = {"resume": (State, str, Path), "out": (str, Path)}
-        whats = {"resume": "a snapshot, or the path of a saved one", "out": "the path of a file"}
+        kinds = {"resume": (State, OperatingPoint, str, Path), "out": (str, Path)}
+        whats = {"resume": "a snapshot, the path of a saved one, or an operating point", "out": "the path of a file"}
         for word, kind in kinds.items():
             given = getattr(self, word)
             if given is not None and not isinstance(given, kind):
@@ -95,6 +97,8 @@ def started(
     prepared of this diagram before; the first that can be is used again.
     """
     options.check()
+    if isinstance(options.resume, OperatingPoint):
+        return _resting(started(value, resolver, case, RunOptions(), flat, likes), options.resume, options)
     raw, resume = case.parameters, options.resume
     settings: Mapping[str, object] = case.settings
     parameters = given_values(value, resolver, raw)
@@ -132,6 +136,16 @@ def started(
         message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be resumed."
         raise UsageError(Fault("E506", value.name, message, "Start the run from the beginning."))
     return Run(prepared, case, options, saved, given, streaming)
+
+
+def _resting(run: Run, place: OperatingPoint, options: RunOptions) -> Run:
+    """Return a run that begins at an operating point, from one of the same case at its start."""
+    if place.point is None or not isinstance(run.plan, Plan):
+        message = "cannot begin at an operating point: FMUs for Co-Simulation hide their states."
+        raise UsageError(Fault("E506", run.plan.name, message, "Import them as Model Exchange."))
+    prepared, options = run.prepared, replace(options, resume=standing_at(place.point, run.snapshot(), run.plan))
+    run.end()
+    return started(prepared.value, prepared.resolver, run.case, options, likes=[prepared])
 
 
 _Given = ParamSpec("_Given")
@@ -188,8 +202,8 @@ class Run:
             assert isinstance(plan, Plan)
             state = saved.fitted(plan, prepared.equations)
         elif saved is not None:
-            state = saved
             assert isinstance(plan, Plan)
+            state = adapted(saved, plan)
             check(state.plan, plan, state.equations, prepared.equations)
         if state is not None:
             self._warnings = self._others(state, given or {})

@@ -167,7 +167,10 @@ class _Recorder:
             for index in part.resets:
                 resets[index] = ", ".join(filter(None, (resets.get(index), part.path)))
         told, equations, values = Record(), dict[str, list[str]](), dict[str, str]()
+        ending = None if self.flat.ending is None else self.flat.ending.path
         for index, block in enumerate(self.blocks):
+            if block.hidden and block.path == ending:  # a setting of the run, as its stop is
+                continue
             whole, without_program, program = self.type_of(block)
             times, own_values = self.numbers_of(block.resolved)
             reads = dict(self.reads(block)) | ({"begins anew with": resets[index]} if index in resets else {})

@@ -167,6 +167,30 @@ def test_a_run_from_a_saved_state_ends_where_the_whole_run_does(engine, tmp_path
     assert (rest.t[-1], rest["h"][-1]) == (whole.t[-1], whole["h"][-1])
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("method", ["dopri5", "radau"])
+def test_a_run_that_ended_goes_on_with_another_condition(engine, method, tmp_path):
+    d = falling()
+    run = d.start(stop=5, stop_when="height.y <= 5", engine=engine, method=method)
+    run.finish()
+    run.save(tmp_path / "state")
+    for state in (tmp_path / "state", run.snapshot()):
+        for text, end in (
+            ("height.y <= floor and speed.y < 0", FALL), ("", 2), ("height.y <= 5", run.t), ("height.y < 6", run.t),
+        ):  # fmt: skip
+            rest = d.run(stop=2, stop_when=text, resume=state, engine=engine, method=method)
+            assert rest.t[-1] == pytest.approx(end, abs=1e-12)
+    plain = d.start(stop=5, engine=engine, method=method)
+    plain.advance(0.5)
+    rest = d.run(stop=2, stop_when="height.y <= 0", resume=plain.snapshot(), engine=engine, method=method)
+    assert rest.t[-1] == pytest.approx(FALL, abs=1e-12)
+
+
+def test_a_point_of_a_run_may_lie_behind_the_end():
+    d = falling()
+    assert d.point(at=2.0, stop_when="height.y <= 5", stop=5).t == 2.0
+
+
 @NEEDS_COMPILER
 @pytest.mark.parametrize("lanes", ["exact", "fast"])
 def test_each_row_of_a_batch_ends_on_its_own(lanes):

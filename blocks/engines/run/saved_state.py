@@ -14,7 +14,7 @@ import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -35,6 +35,8 @@ from .snapshot import MethodMemory
 from .state_rows import check_rows, input_rows, inputs_of, recorded_width
 
 FORMAT, VERSION = "blocks-state", 2
+ENDING = "run.stop_when "
+"""With this begin the names of the crossings of the condition that ends a run."""
 MOST_BYTES, MOST_MEMBERS = 2**28, 3  # states of version 1, which are refused by their version, have three
 MOST_VALUES = 2**21
 """The most lists, objects and commas in the JSON of a state: in memory, `[],` takes 20 times as much as in the file."""
@@ -61,6 +63,7 @@ class State:
     equations: Equations | None = None
     seed: int | None = None
     start: Fraction | None = None
+    is_adapted: bool = False  # to another condition that ends the run
 
     @property
     def t(self) -> float:
@@ -71,7 +74,7 @@ class State:
 def fit(plan: Plan) -> dict[str, Any]:
     """What a state of a Plan and another Plan must agree in, by what it is called in messages."""
     causes = {
-        "crossings": [f"{plan.instances[c.instance].path}.{c.name}" for c in plan.crossings],
+        "crossings": _crossings(plan),
         "event times": [f"{plan.instances[c.instance].path}.{c.name}" for c in plan.events],
     }
     return {
@@ -90,6 +93,41 @@ def fit(plan: Plan) -> dict[str, Any]:
         ],
         **({"FMUs": _fmus(plan)} if plan.foreign else {}),
     }
+
+
+def _crossings(plan: Plan) -> list[str]:
+    """The crossings by their names; those of the condition that ends the run with its text."""
+    blocks = [plan.instances[cause.instance] for cause in plan.crossings]
+    names = [f"{block.path}.{cause.name}" for block, cause in zip(blocks, plan.crossings, strict=True)]
+    if plan.ends is None:
+        return names
+    own, text = (blocks[plan.ends].path, True), f"{ENDING}{plan.settings.stop_when}: "
+    return [text + n if (b.path, b.hidden) == own else n for b, n in zip(blocks, names, strict=True)]
+
+
+def adapted(state: State, plan: Plan) -> State:
+    """Return a state of a run that another condition ends, or none, for a run of a Plan.
+
+    Crossings of the Plan's condition are below at first; an instant at the beginning finds where they are.
+    """
+    theirs, ours, rows = state.plan.get("crossings"), _crossings(plan), dict(state.rows)
+    blank = {"s": 0.0, "located": -1.0, "fired": -math.inf}
+    if theirs == ours or not isinstance(theirs, list) or any(rows[name].shape != (len(theirs),) for name in blank):
+        return state
+    old = [j for j, name in enumerate(theirs) if not str(name).startswith(ENDING)]
+    new = [j for j, name in enumerate(ours) if not name.startswith(ENDING)]
+    p = np.array(plan.parameters)
+    formula = () if plan.ends is None else plan.instances[plan.crossings[plan.ends].instance - 1].arguments
+    first = min((index for row, index in formula if row == "p"), default=len(p))  # its constants are the last in p
+    if [theirs[j] for j in old] != [ours[j] for j in new]:
+        return state
+    for name, value in blank.items():
+        row = np.full(len(ours), value)
+        row[new] = rows[name][old]
+        rows[name] = row
+    rows["parameters"] = np.concatenate([rows["parameters"][:first], p[first:]])
+    rows["crossed"] = rows["crossed"] if ours else np.empty(0)
+    return replace(state, plan={**state.plan, "crossings": ours}, rows=rows, is_adapted=True)
 
 
 def _fmus(plan: Plan) -> list[str]:
@@ -134,7 +172,7 @@ def standing(state: State, plan: Plan, inputs: InputTable) -> tuple[dict[str, Ar
         ours.linear == theirs.linear and np.array_equal(ours.t, theirs.t) and np.array_equal(ours.u, theirs.u)
         for ours, theirs in zip(inputs.tracks, state.inputs.tracks, strict=True)
     )
-    is_changed = not is_same or not np.array_equal(rows["parameters"], np.array(plan.parameters))
+    is_changed = state.is_adapted or not is_same or not np.array_equal(rows["parameters"], np.array(plan.parameters))
     is_other = state.method != (settings.method, str(settings.step))
     if is_other:  # what another method kept from step to step is of no use
         blank = MethodMemory()
@@ -250,23 +288,24 @@ class Kept:
 
     def _state(self, plan: Plan, own: Equations) -> State:
         tree, equations = self.tree, Equations.read(self.tree["equations"])
-        check(tree["plan"], plan, equations, own)
         method = (str(tree["method"][0]), str(tree["method"][1]))
-        recorded = self.rows.get("recorded")
+        steppers, foreign = tuple(tree["steppers"]), tuple(tree["foreign"])
+        state = State(
+            tree["plan"], method, self.overrides, self.exact, self.rows, InputTable(()), steppers, foreign,
+            equations, self.seed, self.start,
+        )  # fmt: skip
+        state = adapted(state, plan)
+        check(state.plan, plan, equations, own)
+        recorded = state.rows.get("recorded")
         if recorded is not None and len(recorded) != recorded_width(plan):
             message = "the state does not fit the run: it was saved with other recorded signals."
             cure = "Record the same signals, or start a new run."
             raise UsageError(Fault("E506", "recorded signals", message, cure))
-        check_rows(self.rows, self.exact, plan, method[0])
-        steppers, foreign = tuple(tree["steppers"]), tuple(tree["foreign"])
+        check_rows(state.rows, self.exact, plan, method[0])
         if len(steppers) != len(plan.steppers) or len(foreign) != len(plan.foreign):
             raise ValueError("it has another number of programs or FMUs than the diagram")
-        inputs = inputs_of(self.rows, len(plan.inputs))
-        rows = {name: row for name, row in self.rows.items() if not name.startswith("inputs.")}
-        return State(
-            tree["plan"], method, self.overrides, self.exact, rows, inputs, steppers, foreign,
-            equations, self.seed, self.start,
-        )  # fmt: skip
+        rows = {name: row for name, row in state.rows.items() if not name.startswith("inputs.")}
+        return replace(state, rows=rows, inputs=inputs_of(state.rows, len(plan.inputs)))
 
 
 def _read(stream: BinaryIO) -> tuple[object, bytes]:

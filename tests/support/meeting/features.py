@@ -29,7 +29,7 @@ FACTORS: dict[str, list[str]] = {
     "loop": ["none", "linear", "saturation"],
     "input": ["none", "constant", "linear", "hold"],
     "method": ["dopri5", "rk4", "euler", "radau", "auto"],
-    "way": ["reference", "values", "batch", "lanes", "resumed", "exported2", "exported3", "unread"],
+    "way": ["reference", "values", "batch", "lanes", "resumed", "ended", "exported2", "exported3", "unread"],
 }
 """Copies are `kept` where nothing beside them has the whole diagram written out, as "Copies" of docs/semantics.md lists
 it: then the code loops over them."""

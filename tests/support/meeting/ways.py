@@ -285,6 +285,29 @@ def resumed(case: Case, base: Outcome) -> Iterator[Disagreement]:
 
 
 @way
+def ended(case: Case, base: Outcome) -> Iterator[Disagreement]:
+    """End a run by a condition: rows before the end are those of the whole run."""
+    names = [name for name, values in base.signals.items() if _is_signal(name) and values.ndim == 1]
+    if base.error or not names:
+        return
+    end, name = [0.63, 0.85, 1.07][case["seed"] % 3], names[case["seed"] % len(names)]
+    is_coupled = case["row"]["fmu"] in ("cs2", "cs3")  # its master may step otherwise where something is crossed
+    is_bool = diagram_of(case).flatten(given(case)).signals[name].type == "bool"
+    holds = f"({name} or not {name})" if is_bool else f"({name} >= 0 or not {name} > 0)"
+    for engine, tolerance in (("native", tolerance_of(case) if is_coupled else 0.0), ("reference", tolerance_of(case))):
+        other = run(case, engine, stop_when=f"t >= {end} and {holds}")
+        if other.error or abs(other.signals["t"][-1] - end) > (0.011 if is_coupled else 1e-12):
+            yield Disagreement(f"ended by {engine}", "t", f"{end}", other.error or str(other.signals["t"][-1]))
+            continue
+        rows = [
+            Outcome({key: values[side.signals["t"] < end] for key, values in side.signals.items() if values.ndim and
+                     len(values) == len(side.signals["t"])})
+            for side in (base, other)
+        ]  # fmt: skip
+        yield from differences(f"base | ended by {engine}", *rows, tolerance, events=False)
+
+
+@way
 def exported2(case: Case, base: Outcome) -> Iterator[Disagreement]:
     """Run as an FMU of FMI 2 for Co-Simulation: bit for bit as a run that is advanced to the communication points."""
     yield from _exported(case, base, 2)
