@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, NoReturn, ParamSpec, TypeGuard, TypeVar, cast
 
 import numpy as np
 
@@ -28,7 +29,6 @@ from ..engines.run.saved_state import Kept, State, adapted, check, packed
 from ..engines.selection import simulation
 from ..host.ipython_errors import UnknownName
 from ..host.progress_line import live_line
-from ..linear.operating_point import OperatingPoint
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
@@ -49,6 +49,9 @@ from .given_values import time_of
 from .origin import origin_of
 from .resting import standing_at
 from .streaming import Streaming, part_to_resume
+
+if TYPE_CHECKING:
+    from ..linear.operating_point import OperatingPoint
 
 FAR = 10**9
 """s: so far goes a run without a stop time that goes on until it is told to stop."""
@@ -71,16 +74,23 @@ class RunOptions:
 
     def check(self) -> None:
         """Raise UsageError (E501) for a value of the wrong kind."""
-        kinds = {"resume": (State, OperatingPoint, str, Path), "out": (str, Path)}
+        kinds = {"resume": (State, str, Path), "out": (str, Path)}
         whats = {"resume": "a snapshot, the path of a saved one, or an operating point", "out": "the path of a file"}
         for word, kind in kinds.items():
             given = getattr(self, word)
-            if given is not None and not isinstance(given, kind):
+            fits = given is None or isinstance(given, kind) or (word == "resume" and _is_resting(given))
+            if not fits:
                 message = f"must be {whats[word]}, not {legible(repr(given)[:80])}."
                 raise UsageError(Fault("E501", word, message, "Leave it out, or give a path."))
         if self.progress is not None and not callable(self.progress):
             cure = "Example: progress=lambda t, stop: print(t)."
             raise UsageError(Fault("E501", "progress", "must be a function of the time and the stop time.", cure))
+
+
+def _is_resting(resume: object) -> TypeGuard[OperatingPoint]:
+    """Return whether it is an operating point; what makes one has loaded its module."""
+    module = sys.modules.get("blocks.linear.operating_point")
+    return module is not None and isinstance(resume, module.OperatingPoint)
 
 
 def started(
@@ -97,9 +107,9 @@ def started(
     prepared of this diagram before; the first that can be is used again.
     """
     options.check()
-    if isinstance(options.resume, OperatingPoint):
+    if _is_resting(options.resume):
         return _resting(started(value, resolver, case, RunOptions(), flat, likes), options.resume, options)
-    raw, resume = case.parameters, options.resume
+    raw, resume = case.parameters, cast("State | str | Path | None", options.resume)
     settings: Mapping[str, object] = case.settings
     parameters = given_values(value, resolver, raw)
     part: Part | None = None

@@ -17,7 +17,7 @@ def _turn(unit):
 
 
 class Wrap(Block):
-    """y = u less whole turns, so that lower <= y < lower + width; by default an angle from -pi to pi.
+    """The input less whole turns: lower <= y < lower + width; by default an angle from -pi to pi.
 
     The instants at which u passes an edge are located, so an integral of y is exact across the jump. In a loop that
     pushes u back to an edge y jumps ever faster, which stops the run with an error (E304). For a fixed function without
@@ -53,9 +53,9 @@ class Wrap(Block):
 
 
 class Unwrap(Block):
-    """y = u plus whole turns, so that y changes by at most half a turn from tick to tick.
+    """The input plus whole turns, so that y changes by at most half a turn from tick to tick.
 
-    At the first tick y = u. It undoes Wrap if the angle turns by less than half a turn in a period.
+    At the first tick there are none. The block undoes Wrap if the angle turns by less than half a turn in a period.
     """
 
     period = Parameter(unit="s", positive=True, doc="time between two ticks")

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..frequency.delayed import DelayedModel
-from ..frequency.disk import fragile_together
 from ..text.arrays import Array
 from ..text.element_names import indexed
 from ..text.errors import AnalysisError, Fault, UsageError
@@ -285,6 +284,8 @@ class Linearization(ReplacedSlopes):
         kept = np.flatnonzero((lives[0] | lives[1]) & (lives[2] | lives[3])).tolist()
         if len(kept) < 2:
             return None
+        from ..frequency.disk import fragile_together
+
         names = [whole.signals[0][k] for k in kept]
         parts = whole.B[:, kept], whole.C[kept], whole.D[np.ix_(kept, kept)]
         together = Transfer(whole.A, *parts, whole.dt, whole.states, (names, names), name=whole.name)

@@ -91,7 +91,7 @@ def schemas(node: Any) -> Iterator[dict[str, Any]]:
     if not isinstance(node, dict):
         return
     yield node
-    for word in ("properties", "patternProperties", "$defs"):
+    for word in ("properties", "patternProperties", "$defs", "dependentSchemas"):
         for inner in node.get(word, {}).values():
             yield from schemas(inner)
     for word in ("anyOf", "oneOf", "allOf"):
@@ -109,6 +109,7 @@ def test_a_schema_is_one_by_its_metaschema_and_has_no_word_that_means_nothing(ki
     known = {"$schema", "$defs", "$ref", "title", "description", "default", "examples", "type", "enum", "const"}
     known |= {"properties", "patternProperties", "additionalProperties", "propertyNames", "required", "items"}
     known |= {"anyOf", "oneOf", "allOf", "not", "if", "then", "else", "dependentRequired", "pattern", "minLength"}
+    known |= {"dependentSchemas"}
     known |= {"maxLength", "minItems", "maxItems", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
     known |= {"minProperties", "maxProperties"}
     for node in schemas(made):

@@ -159,7 +159,8 @@ CONTROLLED = {
     "wires": {"on.u": "sine.y", "sum.u": "sine.y", "sum.enable": "on.y", "ticks.u": "sine.y", "edges.u": "sine.y",
               "edges.trigger": "sine.y", "plant.u": "sine.y", "lags.u": "sine.y"},
     "run": {
-        "start": 0, "stop": {"value": 1, "unit": "min"}, "method": "rk4", "step": 0.1, "rtol": 1e-5, "atol": 1e-6,
+        "start": 0, "stop": {"value": 1, "unit": "min"}, "stop_when": "t > 1e9",
+        "method": "rk4", "step": 0.1, "rtol": 1e-5, "atol": 1e-6,
         "every": {"value": 200, "unit": "ms", "doc": "grid"}, "jumps": False,
         "stops": [1, {"value": 1, "unit": "s"}], "loops": "solve",
         "seed": 7,
