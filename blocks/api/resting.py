@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..compile.plan import Plan
 from ..engines.run.measures import Measures
 from ..engines.run.saved_state import ENDING, State, fit
-from ..linear.point import Point
 from ..text.errors import Fault, UsageError
+
+if TYPE_CHECKING:
+    from ..linear.point import Point
 
 _ROWS = (("x", "states", 1), ("d", "discretes", 2), ("s", "crossings", 3), ("z", "algebraic unknowns", 8))
 """Rows of a state, what `fit` calls their names, and their places in the memory of a point."""

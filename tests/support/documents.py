@@ -232,12 +232,13 @@ STUDY = {
     "figures": [
         {
             "name": "f", "title": "t", "doc": "d", "kind": "time", "from": 0, "to": 1, "xlabel": "x",
+            "format": "svg", "size": [6, 4],
             "windows": [[0, 0.5], [0.5, 1]],
             "panels": [
                 {
                     "lines": [{"run": "a", "signal": "s", "label": "l", "style": None, "scale": 2}], "ylabel": "y",
                     "markers": [{"x": 1, "y": 2, "label": "p", "style": 1}, {"run": "a", "signal": "s"}],
-                    "band": [0, 1], "inset": [0, 1, 0, 1], "log": True, "height": 2,
+                    "band": [0, 1], "inset": [0, 1, 0, 1], "log": True, "height": 2, "ylim": [0, 1],
                 }
             ],
         },
