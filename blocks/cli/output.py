@@ -14,6 +14,7 @@ from typing import TextIO
 from ..text.errors import Fault
 from ..text.json_line import json_line
 
+SOON = 0.5  # s before progress is shown
 LONG = 0.7  # s before a message says what is being done
 LATE = 30.0  # s
 
@@ -66,7 +67,7 @@ class Progress:
     def is_due(self) -> bool:
         """Whether it is time to show something again."""
         now = time.perf_counter()
-        if now - self.shown < 0.1 or now - self.begun < 0.5:
+        if now - self.shown < 0.1 or now - self.begun < SOON:
             return False
         self.shown = now
         return True
