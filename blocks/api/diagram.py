@@ -529,7 +529,7 @@ class Diagram:
         n: int | None = None,
         sampler: str = "random",
         margins: Mapping[str, Mapping[str, object]] | None = None,
-        scenarios: Mapping[str, Mapping[str, object]] | None = None,
+        scenarios: Mapping[str, Mapping[str, object] | Case] | None = None,
         max_steps: int | None = None,
         on: object = None,
         notice: Callable[[str], None] | None = None,
@@ -545,7 +545,8 @@ class Diagram:
         hypercube), or "saltelli", for `Sweep.sobol`: n rows of each of its samples, which are two more than columns.
         margins: by name, what is taken of the linear model of each row, as in study files: {"gm": {"type":
         "gain_margin", "loop": "control.u"}}; nan where a row has none, and its message says why. scenarios: by name,
-        parameters set on top; all rows run in each, with equal seeds. max_steps: the most steps of a run; None: rows
+        parameters set on top, or a `Case` with parameters, inputs and variants; all rows run in each, with equal seeds.
+        max_steps: the most steps of a run; None: rows
         that take more than 1,000,000 steps run after all others, and where most rows are done, up to 1000 times the
         median of these (not with `on` or fixed steps). notice: called with a text that names the rows that hold the
         others up.

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
-from ..api.case import Case, ModelWords, Work, sources
+from ..api.case import Case, ModelWords, Work, key_of, sources
 from ..host.progress_line import in_rows, live_line
 from ..model.block_signals import element_of
 from ..model.diagram_grammar import MEASURE_UNITS
@@ -59,7 +59,7 @@ def sweep(
     n: int | None,
     sampler: str,
     margins: Mapping[str, Mapping[str, object]] | None,
-    scenarios: Mapping[str, Mapping[str, object]] | None,
+    scenarios: Mapping[str, Mapping[str, object] | Case] | None,
     max_steps: int | None,
     on: object,
     notice: Callable[[str], None] | None,
@@ -73,14 +73,18 @@ def sweep(
     seed = flat.settings.seed
     case = case.without("seed")  # each row has its own
     rows = rows_of(vary, n=n, sampler=sampler, seed=seed, expand=lambda pattern: each_of(pattern, flat))
-    given = _scenarios(scenarios)
-    cases = [case.updated(parameters=on_top) for on_top in given.values()]
+    given = _scenarios(scenarios, is_here=on is None)
+    cases = [case.on_top(own.words) for own in given.values()]
     seeds = np.array([seed_of(seed, i) for i in range(rows.n)], dtype=np.int64)
     names = list(rows.columns)
     batches = [diagram.batch(names, each, lanes=work.lanes) for each in cases]
     wanted = margins_of(margins or {})
     beside = [RowMargins(diagram, wanted, each) for each in (cases if wanted else ())]
     first = batches[0]
+    for name, batch in zip(given, batches, strict=True):
+        if batch.units != first.units:
+            message = "has other units of the varied parameters than the first scenario."
+            raise UsageError(Fault("E501", f"scenarios.{name}", message, "Vary parameters that all variants have."))
     own = zip(rows.columns.items(), first.units, strict=True)
     rows = replace(rows, columns={name: _in_unit(name, column, unit) for (name, column), unit in own})
     begun = diagram.start(cases[0].without("measures").updated(log=case.settings.get("log", ())))
@@ -98,7 +102,8 @@ def sweep(
     made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, taken_measures, first.signals, again)
     warnings = dict.fromkeys(warning for batch in batches for warning in batch.warnings)
     made.begun = replace(made.begun, lanes=first.lanes, warnings=(*made.begun.warnings, *warnings))
-    key: dict[str, object] = {"scenarios": raw_of(given), "measures": first.measures, "signals": first.signals}
+    key: dict[str, object] = {"scenarios": raw_of({name: _told(own) for name, own in given.items()})}
+    key |= {"measures": first.measures, "signals": first.signals}
     key |= {"margins": wanted} if wanted else {}
     key |= {"lanes": first.lanes} if first.lanes else {}
     key |= {"n": n, "max_steps": max_steps, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
@@ -152,16 +157,39 @@ def _folder_of_workers(case: Case, work: Work) -> str:
     return "" if out.lower().endswith(".parquet") else out
 
 
-def _scenarios(scenarios: Mapping[str, Mapping[str, object]] | None) -> dict[str, Mapping[str, object]]:
-    """Return the parameters of each scenario; one of the name "" if there are none. Raises UsageError, ModelError."""
-    if not scenarios:
-        return {"": {}}
-    for name, on_top in scenarios.items():
+_OWN = ("parameters", "inputs", "interpolation", "variants")
+"""The words of a case that may differ between scenarios."""
+
+
+def _scenarios(scenarios: Mapping[str, Mapping[str, object] | Case] | None, *, is_here: bool) -> dict[str, Case]:
+    """Return the case of each scenario; one of the name "" if there are none. Raises UsageError, ModelError.
+
+    is_here: the rows run on this machine.
+    """
+    given: dict[str, Case] = {}
+    for name, on_top in (scenarios or {}).items():
         check_name(name)
-        if not isinstance(on_top, Mapping):
-            cure = 'Example: scenarios={"heavy": {"load": 2}}.'
-            raise UsageError(Fault("E501", f"scenarios.{name}", "must be a mapping from parameters to values.", cure))
-    return dict(scenarios)
+        if not isinstance(on_top, (Mapping, Case)):
+            message, cure = "must be a mapping from parameters to values, or a Case.", '{"heavy": {"load": 2}}'
+            raise UsageError(Fault("E501", f"scenarios.{name}", message, f"Example: scenarios={cure}."))
+        own = given[name] = on_top if isinstance(on_top, Case) else Case(parameters=on_top)
+        message = cure = ""
+        if others := own.without(*_OWN).words:
+            message, cure = f"cannot have its own {next(iter(others))}.", f"Scenarios differ in {', '.join(_OWN)} only."
+        elif any(isinstance(source, (str, Path)) for source in sources(own.inputs)):
+            message, cure = "has inputs from a file.", "Give the columns of the file: inputs={name: (t, u)}."
+        elif not is_here and own.without("parameters").words:
+            message, cure = "has more than parameters, which workers are not given.", "Leave on= out."
+        if message:
+            raise UsageError(Fault("E501", f"scenarios.{name}", message, cure))
+    return given or {"": Case()}
+
+
+def _told(own: Case) -> dict[str, object]:
+    """Return what a scenario is, as the file of a sweep keeps it."""
+    rest = own.without("parameters").words
+    digest = hashlib.sha256(repr(key_of(rest)).encode()).hexdigest()
+    return {**own.parameters, **({"": digest} if rest else {})}
 
 
 def units_of_measures(flat: Flat, *, plain: str = "") -> dict[str, str]:

@@ -15,6 +15,7 @@ import pandas
 import pytest
 
 from blocks import (
+    Case,
     Constant,
     Diagram,
     FirstOrder,
@@ -356,3 +357,50 @@ def test_inputs_from_a_file_and_from_arrays_are_those_of_all_rows(tmp_path: Path
     for inputs in (path, {"u": (t, u)}):
         sweep = diagram.sweep({"area.y_start": [1.0, 2.0]}, stop=1.0, log=["area.y"], inputs=inputs)
         assert sweep.signals["area.y"][:, -1] == pytest.approx([1.5, 2.5], rel=1e-9)
+
+
+def test_a_scenario_may_be_a_case_with_variants_and_inputs(tmp_path: Path) -> None:
+    diagram = noisy()
+    diagram.input("r", default=1)
+    diagram.add("more", Gain(k=1))
+    diagram.wire("more.u", "r")
+    diagram.measure("more_top", "peak", "more.y")
+    diagram.swap("lag_b", Gain(), variant="none")
+    diagram.swap("out", Gain(k="=2*k"), variant="twice")
+    base = {"lag_b": "base", "out": "base"}
+    scenarios = {
+        "plain": Case(variants=base),
+        "short": Case(variants={**base, "lag_b": "none"}, inputs={"r": 3}),
+        "strong": Case(variants={**base, "out": "twice"}, parameters={"noise.deviation": 2}),
+    }
+    options: dict[str, Any] = {"n": 3, "seed": 5, "threads": 1}
+    made = diagram.sweep({"lag_a.T": Uniform(0.3, 0.7)}, scenarios=scenarios, out=tmp_path / "s.parquet", **options)
+    assert made.scenarios == ("plain", "short", "strong")
+    for row in range(9):
+        case = scenarios[made.scenarios[made.scenario[row]]]
+        number = int(made.number[row])
+        alone = diagram.run(
+            case.updated(parameters={"lag_a.T": made.varied["lag_a.T"][row]}), seed=seed_of(5, number), log=[]
+        )
+        assert {name: column[row] for name, column in made.measures.items()} == dict(alone.measures)
+    assert made["short"].measures["more_top"].tolist() == [3, 3, 3]
+    again = diagram.sweep({"lag_a.T": Uniform(0.3, 0.7)}, scenarios=scenarios, out=tmp_path / "s.parquet", **options)
+    assert_same(again, made)
+    # Another input is another sweep: no row of the file is taken for it.
+    scenarios["short"] = scenarios["short"].updated(inputs={"r": 4})
+    other = diagram.sweep({"lag_a.T": Uniform(0.3, 0.7)}, scenarios=scenarios, out=tmp_path / "t.parquet", **options)
+    assert other["short"].measures["more_top"].tolist() == [4, 4, 4]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "said"),
+    [
+        (3, "must be a mapping from parameters to values, or a Case."),
+        (Case(stop=2), "cannot have its own stop. Scenarios differ in parameters, inputs, interpolation, variants"),
+        (Case(inputs="a.csv"), "has inputs from a file."),
+        (Case(variants={"out": "long"}), "E122"),
+    ],
+)
+def test_a_scenario_that_cannot_be_run_beside_others_is_refused(scenario: Any, said: str) -> None:
+    with pytest.raises((UsageError, ModelError), match=said):
+        noisy().sweep({"k": [1, 2]}, scenarios={"a": {}, "b": scenario})
