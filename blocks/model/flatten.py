@@ -308,39 +308,14 @@ class _Flattener:
     def ending(self, signals: Signals) -> _Condition | None:
         """Read the condition that ends the run; None if there is none, or after its faults were reported."""
         text, before = self.settings.stop_when, len(self.faults)
-        spot = None if "stop_when" in self.given else ("run", "stop_when")
-
-        def refuse(code: str, message: str, cure: str = "") -> None:
-            self.tell(self.root, code, "run.stop_when", message, cure, spot)
-
         names = dict.fromkeys(name for _, _, name in signals_at(text))
         read = {name: signal for name in names if (signal := element_of(name, signals)) is not None}
         constants = [name for name in names if name not in read and name in self.root.parameters]
-        for name, signal in read.items():
-            if signal.shape != ():
-                refuse("E110", f"{name} has {math.prod(signal.shape)} elements.", f'Name one, as in "{name}[0]".')
-        for name in names:
-            if name not in read and name not in constants and not self.is_lost(name):
-                is_unit = text[: text.index(name)].rstrip()[-1:].isdigit()
-                cure = "Numbers are in SI: write them without a unit." if is_unit else ""
-                cure = cure or self.faults.guess(name, signals) or self.faults.guess(name, self.root.parameters)
-                cure = cure or "Name an output, as in lift.height, a parameter of the diagram, or t."
-                refuse("E105", f"there is no signal {quoted(name)}.", cure)
+        self.check_names(text, read, [name for name in names if name not in {*read, *constants}], signals)
         if len(self.faults) > before or not text or None in [self.root.parameters[name] for name in constants]:
             return None
         truths = frozenset(name for name, signal in read.items() if signal.type == "bool")
-        try:
-            condition = parse(text, truths=truths)
-        except ModelError as error:
-            refuse("E108", error.faults[0].message, error.faults[0].cure)
-            return None
-        if not condition.is_truth:
-            refuse("E108", f"{quoted(text)} is a number, not a condition.", "Compare it, as in x >= 3.")
-        for left, right, relation in zip(condition.steps, condition.steps[1:], condition.steps[2:], strict=False):
-            pair = [read[step.word] for step in (left, right) if step.word in read]
-            if relation.word in RELATIONS and len(pair) == 2 and not units.same_quantity(pair[0].unit, pair[1].unit):
-                shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in pair)
-                refuse("E104", f"{shown} are different quantities.", "Compare signals of the same quantity.")
+        self.check_condition(text, read, truths)
         if len(self.faults) > before:
             return None
         # The formula of an Expression has numbered inputs and constants; a truth value becomes a comparison of 0 or 1.
@@ -355,6 +330,41 @@ class _Flattener:
         made = self.hierarchy.numbers(self.root, path, BlockEntry(cls=Expression, parameters=given))
         sources = tuple(signals.seen_outside(name) for name in read)
         return None if made is None else _Condition(Leaf(path, self.root, *made, -1), sources)
+
+    def refuse_ending(self, code: str, message: str, cure: str = "") -> None:
+        """Report a fault of the condition that ends the run."""
+        spot = None if "stop_when" in self.given else ("run", "stop_when")
+        self.tell(self.root, code, "run.stop_when", message, cure, spot)
+
+    def check_names(self, text: str, read: Mapping[str, FlatSignal], missing: Sequence[str], signals: Signals) -> None:
+        """Refuse names of a condition that are no signals and no parameters, and signals of several elements."""
+        for name, signal in read.items():
+            if signal.shape != ():
+                message = f"{name} has {math.prod(signal.shape)} elements."
+                self.refuse_ending("E110", message, f'Name one, as in "{name}[0]".')
+        for name in missing:
+            if not self.is_lost(name):
+                is_unit = text[: text.index(name)].rstrip()[-1:].isdigit()
+                cure = "Numbers are in SI: write them without a unit." if is_unit else ""
+                cure = cure or self.faults.guess(name, signals) or self.faults.guess(name, self.root.parameters)
+                cure = cure or "Name an output, as in lift.height, a parameter of the diagram, or t."
+                self.refuse_ending("E105", f"there is no signal {quoted(name)}.", cure)
+
+    def check_condition(self, text: str, read: Mapping[str, FlatSignal], truths: frozenset[str]) -> None:
+        """Refuse what is no condition, and comparisons of two signals that are different quantities."""
+        try:
+            condition = parse(text, truths=truths)
+        except ModelError as error:
+            self.refuse_ending("E108", error.faults[0].message, error.faults[0].cure)
+            return
+        if not condition.is_truth:
+            self.refuse_ending("E108", f"{quoted(text)} is a number, not a condition.", "Compare it, as in x >= 3.")
+        for left, right, relation in zip(condition.steps, condition.steps[1:], condition.steps[2:], strict=False):
+            pair = [read[step.word] for step in (left, right) if step.word in read]
+            if relation.word in RELATIONS and len(pair) == 2 and not units.same_quantity(pair[0].unit, pair[1].unit):
+                shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in pair)
+                message = f"{shown} are different quantities."
+                self.refuse_ending("E104", message, "Compare signals of the same quantity.")
 
     # --- enabled and triggered subdiagrams ---------------------------------------------------------------------
 

@@ -81,10 +81,7 @@ def sweep(
     wanted = margins_of(margins or {})
     beside = [RowMargins(diagram, wanted, each) for each in (cases if wanted else ())]
     first = batches[0]
-    for name, batch in zip(given, batches, strict=True):
-        if batch.units != first.units:
-            message = "has other units of the varied parameters than the first scenario."
-            raise UsageError(Fault("E501", f"scenarios.{name}", message, "Vary parameters that all variants have."))
+    _check_units(list(given), batches)
     own = zip(rows.columns.items(), first.units, strict=True)
     rows = replace(rows, columns={name: _in_unit(name, column, unit) for (name, column), unit in own})
     begun = diagram.start(cases[0].without("measures").updated(log=case.settings.get("log", ())))
@@ -111,9 +108,7 @@ def sweep(
     if out is not None:
         made.part = SweepPart(out, told, restart=work.restart)
     try:
-        for fields in made.part.found if made.part is not None else ():
-            piece = Sweep(**fields)
-            made.take(piece.scenario * rows.n + piece.number, piece)
+        made.take_found()
         if on is None:
             with live_line(work.progress, in_rows("rows")) as told_to:
                 run = _Rounds(batches, beside, table, seeds, made, work.threads, told_to, notice)
@@ -183,6 +178,14 @@ def _scenarios(scenarios: Mapping[str, Mapping[str, object] | Case] | None, *, i
         if message:
             raise UsageError(Fault("E501", f"scenarios.{name}", message, cure))
     return given or {"": Case()}
+
+
+def _check_units(names: Sequence[str], batches: Sequence[Batch]) -> None:
+    """Refuse scenarios in which the varied parameters have different units (E501)."""
+    for name, batch in zip(names, batches, strict=True):
+        if batch.units != batches[0].units:
+            message = f"the varied parameters have other units than in {names[0]}."
+            raise UsageError(Fault("E501", f"scenarios.{name}", message, "Vary parameters that all variants have."))
 
 
 def _told(own: Case) -> dict[str, object]:
@@ -280,6 +283,12 @@ class _Made:
         self.interrupted = False
         self.part: SweepPart | None = None
         self.unwritten = np.empty(0, dtype=np.int64)
+
+    def take_found(self) -> None:
+        """Take the rows that the part of the file holds."""
+        for fields in self.part.found if self.part is not None else ():
+            piece = Sweep(**fields)
+            self.take(piece.scenario * self.n + piece.number, piece)
 
     def keep(self, at: Array, rows: BatchRows) -> None:
         """Take rows, and write them to the part of the file, those that are "left" apart."""

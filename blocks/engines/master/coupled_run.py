@@ -304,17 +304,7 @@ class CoupledRun(Exchange, ABC):
             if passes == MOST_PASSES:
                 raise endless(coupling, acting, t)
             known = list(self.y)
-            several = sum(has[k] for k in acting) > 1
-            # One after the other, in the order of wires: a unit that ticks at t sees the new values of those before it.
-            is_any = False
-            for k in sorted(acting, key=coupling.at_instants.index):
-                self.units[k].take(self._inputs(k, t))
-                if self.units[k].instant(is_due=not passes):
-                    is_any = True
-                    acted.add(k)
-                if several and k in acted:
-                    self.evaluate(t)
-            self.instants += is_any
+            self.instants += self._in_turn(acting, acted, is_due=not passes)
             passes += 1
             self.evaluate(t)
             changed = [g for g, (a, b) in enumerate(zip(known, self.y, strict=True)) if a != b]
@@ -328,6 +318,23 @@ class CoupledRun(Exchange, ABC):
                 arrived |= {k for k in late if coupling.units[k].acts}
             acting = sorted(k for k in readers if self.at[k] == t and has[k])
         return {coupling.units[k].outputs[n] for k in arrived for n in self.units[k].bent(k in acted)}, acted
+
+    def _in_turn(self, acting: Sequence[int], acted: set[int], *, is_due: bool) -> bool:
+        """Let units act at t, one after the other in the order of wires. Return whether something happened.
+
+        So a unit that ticks at t sees the new values of those before it. acted: gets the units in which something
+        happened.
+        """
+        coupling, t, is_any = self.plan, self.t, False
+        several = sum(coupling.units[k].has_instants for k in acting) > 1
+        for k in sorted(acting, key=coupling.at_instants.index):
+            self.units[k].take(self._inputs(k, t))
+            if self.units[k].instant(is_due=is_due):
+                is_any = True
+                acted.add(k)
+            if several and k in acted:
+                self.evaluate(t)
+        return is_any
 
     def _catch_up(
         self, late: set[int], left_values: list[float], before: list[list[Point]], *, at_break: bool

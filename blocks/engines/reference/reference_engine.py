@@ -803,10 +803,14 @@ class ReferenceEngine:
                 x1, after, changed = *joined, True
                 self.instants.later = 4 * math.ulp(t1)
         self.sides, self.touched = (t1, after), (t1, touches.kept(place, after))
-        # A crossing that joined an instant fires only if that does not turn it back: it counts when it passes again.
-        for j in np.nonzero(fires)[0] if not self.instants.later else ():
-            self.crossed.add(t1, int(j), up=bool(after[j] >= 0))
+        if not self.instants.later:
+            self._count(t1, fires, after)
         return t1, x1, changed
+
+    def _count(self, t: float, fires: Array, after: Array) -> None:
+        """Count crossings that fire. One that joined an instant counts when it passes again: that may turn it back."""
+        for j in np.nonzero(fires)[0]:
+            self.crossed.add(t, int(j), up=bool(after[j] >= 0))
 
     def _slopes_by_rates(self, h: float) -> Callable[[], Array]:
         """How crossings begin to move from here, by the length h: along the rates, not along a polynomial of a step."""
