@@ -285,15 +285,10 @@ class Diagram:
         """Connect a source to a sink: the sink comes first, as in the file.
 
         If a vector reaches a block whose input takes one value, the block gets `copies`, one for each element, and so
-        do the blocks that read it. Raises ModelError (E109, E112).
+        do the blocks that read it; a vector of one element is wired by it, "plant.u[0]". Raises ModelError
+        (E109, E112).
         """
-        text = sink_text(sink, source, self)
-        wires = self._draft.section("wires")
-        if text in wires:
-            message = f"is already wired to {legible(wires[text])}."
-            cure = f'Use Sum to add signals, or remove the wire first: unwire("{legible(text)}").'
-            raise ModelError(Fault("E109", legible(text), message, cure))
-        self._draft.wire(text, source_text(source, self))
+        self._draft.wire(sink_text(sink, source, self), source_text(source, self))
 
     def unwire(self, sink: PortName | str) -> None:
         """Remove the wire of an input; copies that a wire gave to the block stay. Raises UsageError (E501)."""

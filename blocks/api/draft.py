@@ -15,7 +15,7 @@ from ..model.diagram_value import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.raw_values import given_values, raw_of
 from ..model.resolver import resolver_of
-from ..model.spreading import spread
+from ..model.spreading import fitted, spread
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
 from .entries import block_entry, checked_entry
@@ -64,11 +64,16 @@ class Draft:
             self._probe = None
 
     def wire(self, sink: str, source: str) -> None:
-        """Add a wire, and give copies to the scalar blocks that a vector reaches by it."""
+        """Add a wire, and give copies to the scalar blocks that a vector reaches by it. Raises ModelError (E109)."""
         within = DiagramValue(
             self.name, parameters=self.section("parameters"), inputs=self.section("inputs"),
             blocks=self.section("blocks"), wires=self.section("wires"), folder=self.folder,
         )  # fmt: skip
+        sink, source = fitted(within, sink, source, self.resolver)
+        if sink in within.wires:
+            message = f"is already wired to {legible(within.wires[sink])}."
+            cure = f'Use Sum to add signals, or remove the wire first: unwire("{legible(sink)}").'
+            raise ModelError(Fault("E109", legible(sink), message, cure))
         self.put("blocks", spread(within, sink, source, self.resolver))
         self.put("wires", {sink: source})
 

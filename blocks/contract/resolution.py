@@ -21,6 +21,7 @@ import numpy as np
 from ..text.arrays import Array, frozen
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.json_number import is_number
+from ..text.printable import counted
 from ..text.units import Declared, si_text, single, to_si
 from ..text.units import parse as parse_unit
 from .captured_values import outside
@@ -438,7 +439,7 @@ class _Defaults:
             return
         place, actual_shape = f"{self.place}.{name}", np.shape(raw)
         if np.ndim(raw) != len(shape):
-            message = f"has {np.ndim(raw)} dimensions, but {len(shape)} are needed."
+            message = f"has {counted(np.ndim(raw), 'dimension')}, but {len(shape)} are needed."
             self.clashes.append(Fault("E110", place, message))
             return
         for size, actual in zip(shape, actual_shape, strict=True):

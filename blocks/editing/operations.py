@@ -11,6 +11,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from ..model.diagram_value import FORMAT, VERSION, DiagramValue, check_name
 from ..model.document import dumps_document, entries, entry_document, loads
 from ..model.flatten import Flat
 from ..model.resolver import resolver_of
-from ..model.spreading import spread
+from ..model.spreading import fitted, spread
 from ..model.values import is_expression
 from ..text import grammar, json_text, units
 from ..text.errors import BlocksError, Fault, ModelError, UsageError
@@ -251,23 +252,19 @@ def _wire(spot: Spot, entry: Mapping[str, Any]) -> None:
     if not dot:
         cure = f'Name the input: {{"wire": {quoted(source)}, "to": "{block}.PORT"}}.'
         raise UsageError(spot.fault("E501", sink, "is a block, but a wire ends at an input of a block.", cure))
+    given: dict[str, object] = {}
+    with suppress(BlocksError):  # the file has other faults
+        value, resolver = _diagram_of(spot), resolver_of(library_types(spot.workspace.library))
+        sink, source = fitted(value, sink, source, resolver)
+        given = {name: entry.copies for name, entry in spread(value, sink, source, resolver).items()}
     wires = tree.table_at(spot.value, (*spot.scope, "wires"))
     if sink in wires:
         cure = f'Unwire it first: {{"unwire": {quoted(sink)}}}.'
         raise ModelError(spot.fault("E109", sink, f"is already driven by {quoted(str(wires[sink]))}.", cure))
     new = tree.replaced(spot.value, (*spot.scope, "wires", sink), source)
-    for name, copies in _copies_for(spot, sink, source).items():
+    for name, copies in given.items():
         new = tree.replaced(new, (*spot.scope, "blocks", name, "copies"), copies)
     spot.put(new)
-
-
-def _copies_for(spot: Spot, sink: str, source: str) -> dict[str, object]:
-    """Return the copies of blocks that a wire from a vector to scalar ports needs, as `Diagram.wire` gives them."""
-    try:
-        given = spread(_diagram_of(spot), sink, source, resolver_of(library_types(spot.workspace.library)))
-    except BlocksError:  # the file has other faults
-        return {}
-    return {name: entry.copies for name, entry in given.items()}
 
 
 def _diagram_of(spot: Spot) -> DiagramValue:

@@ -95,7 +95,7 @@ class Encoder(Block):
         omega[k] = a omega[k-1] + (1 - a) (angle[k] - angle[k-1])/period,    a = exp(-period/Tf)
 
     Without the filter (Tf = 0) one count of difference is a speed of 2 pi/(counts_per_turn period), which is the
-    quantisation of omega; the filter makes it finer and later. At the first tick omega = 0.
+    resolution of omega; the filter improves it, and delays omega. At the first tick omega = 0.
     """
 
     counts_per_turn = Parameter(2000.0, positive=True, doc="counts in one turn: four for each line")

@@ -14,6 +14,7 @@ import numpy as np
 from ..compile.plan import Node, Plan
 from ..frequency.delayed import DelayedModel
 from ..text.arrays import Array
+from ..text.element_names import indexed
 from ..text.errors import AnalysisError, Fault, UsageError
 from .elimination import Entries, eliminated, reach, without_noise
 from .equation_matrix import Wiring
@@ -162,6 +163,7 @@ def _refuse(replaced: ReplacedSlopes, laws: Sequence[Law], selects: Array, kept:
         value = replaced.slopes.everything_of(law.slot)
         what = {"jump": "jumps", "corner": "has a corner"}.get(law.kind, "has an infinite slope")
         message = f"{what} at {law.by} = {value:g}, its operating point, so that it has no linear model."
+        name = indexed(name)[0]  # other elements of a vector work at an amplitude too
         cure = f'Give the amplitude at which it works: amplitude={{"{name}": A}}, or --amplitude {name}=A.'
         cure += or_a_gain(replaced.graph, replaced.graph.nodes[law.node][0])
         faults.setdefault((law.block, law.equation), Fault("E701", f"{law.block}.{law.equation}", message, cure))

@@ -14,7 +14,7 @@ from ..compile.plan import Node, Reference
 from ..frequency.systems import is_of
 from ..model.values import in_si
 from ..text.arrays import Array
-from ..text.element_names import matching
+from ..text.element_names import indexed, matching
 from ..text.errors import AnalysisError, Fault, UsageError, check_mappings
 from .interconnection import Interconnection
 from .nonlinearities import StaticLaw, nonlinear
@@ -56,7 +56,11 @@ class ReplacedSlopes:
             return [name]
         seen: set[tuple[int, int]] = set()
         found = []
-        for each in matching(name, all_names(self.graph)):
+        base, index = indexed(name)
+        for each in matching(base, all_names(self.graph)):
+            each += "" if index is None else f"[{index}]"
+            if index is not None and index >= len(places(self.graph, indexed(each)[0])):
+                continue
             laws = {law[:2] for spot in places(self.graph, each) for law in self._laws_reading(spot)}
             if laws - seen:
                 found.append(each)

@@ -16,7 +16,7 @@ from itertools import islice
 from typing import Any
 
 from ..contract.block import Block
-from ..contract.expressions import RELATIONS, exact_time, parse, signals_at
+from ..contract.expressions import RELATIONS, PostfixStep, exact_time, parse, signals_at
 from ..contract.interface import Interface, Value
 from ..contract.resolution import resolve
 from ..host.gc_pause import paused
@@ -359,12 +359,28 @@ class _Flattener:
             return
         if not condition.is_truth:
             self.refuse_ending("E108", f"{quoted(text)} is a number, not a condition.", "Compare it, as in x >= 3.")
+        known = {name: signal.declared_unit or signal.unit for name, signal in read.items()}
+        known |= {name: value.unit for name, value in self.root.parameters.items() if value is not None}
         for left, right, relation in zip(condition.steps, condition.steps[1:], condition.steps[2:], strict=False):
-            pair = [read[step.word] for step in (left, right) if step.word in read]
-            if relation.word in RELATIONS and len(pair) == 2 and not units.same_quantity(pair[0].unit, pair[1].unit):
-                shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in pair)
-                message = f"{shown} are different quantities."
-                self.refuse_ending("E104", message, "Compare signals of the same quantity.")
+            if relation.word in RELATIONS:
+                self.check_relation([step for step in (left, right) if not step.operands], known)
+
+    def check_relation(self, sides: Sequence[PostfixStep], known: Mapping[str, str]) -> None:
+        """Refuse a comparison of different quantities, and of a number with a signal that is not in SI.
+
+        sides: the names and numbers that stand directly beside the relation. known: units by name.
+        """
+        named = [step.word for step in sides if known.get(step.word)]
+        if len(named) == 2 and not units.same_quantity(known[named[0]], known[named[1]]):
+            shown = " and ".join(f"{name} [{known[name]}]" for name in named)
+            self.refuse_ending("E104", f"{shown} are different quantities.", "Compare equal quantities.")
+        numbers = [step.scalar.value for step in sides if step.scalar is not None]
+        name = named[0] if len(named) == 1 and any(numbers) else ""
+        unit = known.get(name, "")
+        if unit and units.affine(unit, units.si_text(unit)) != (1.0, 0.0):
+            message = f"{name} is in {unit}, but numbers of a condition are in SI, {units.si_text(unit)}."
+            cure = f'Compare it with a parameter of the diagram, {{"value": {numbers[0]:g}, "unit": {quoted(unit)}}}.'
+            self.refuse_ending("E104", message, cure)
 
     # --- enabled and triggered subdiagrams ---------------------------------------------------------------------
 

@@ -41,6 +41,23 @@ def spread(value: DiagramValue, sink: str, source: str, resolver: Resolver) -> d
     return changed
 
 
+def fitted(value: DiagramValue, sink: str, source: str, resolver: Resolver) -> tuple[str, str]:
+    """Return a wire between a vector of one element and a single value: it names the element, "plant.u[0]"."""
+    if "[" in sink or "[" in source:
+        return sink, source
+    shapes = []
+    for text, is_input in ((sink, True), (source, False)):
+        name, _, port = text.partition(".")
+        entry = value.blocks.get(name)
+        cls = None if entry is None or entry.copies is not None or entry.variants else _class_of(entry, resolver)
+        if entry is None or cls is None:
+            return sink, source
+        shapes.append(_shape(value, name, entry, port, resolver, is_input=is_input) if _has_vectors(cls) else ())
+    if shapes == [(1,), ()]:
+        return f"{sink}[0]", source
+    return (sink, f"{source}[0]") if shapes == [(), (1,)] else (sink, source)
+
+
 def _copies_of(value: DiagramValue, changed: Mapping[str, BlockEntry], source: str, resolver: Resolver) -> object:
     """Return the number of copies, or its expression, that fits a source; None if the source is no vector."""
     base, index = indexed(source)
@@ -69,9 +86,9 @@ def _class_of(entry: BlockEntry, resolver: Resolver) -> type[Block] | None:
 
 @cache
 def _has_vectors(cls: type[Block]) -> bool:
-    """Return whether an output of a class may have several elements."""
+    """Return whether a port of a class may have several elements."""
     said = cls.declaration
-    tables = said.outputs, said.states, said.discretes, said.algebraics, said.given, said.stepped
+    tables = said.inputs, said.outputs, said.states, said.discretes, said.algebraics, said.given, said.stepped
     return any(variable.shape != () for table in tables for variable in table.values())
 
 

@@ -12,6 +12,7 @@ such curves is largest. A value that is not finite is equal to nothing, itself i
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,6 +125,11 @@ def compare(
     for name, value in (("tolerance", tolerance), ("absolute", absolute)):
         if not (math.isfinite(value) and value >= 0):
             raise UsageError(Fault("E501", name, f"must be a number of at least 0, not {value}."))
+    for side, source in (("a", a), ("b", b)):
+        if not isinstance(source, (Results, str, os.PathLike)):
+            cure = "For some signals only, run with log=[...], or Results.load(path, signals=[...])."
+            message = f"must be results or the path of a result file, not {type(source).__name__}."
+            raise UsageError(Fault("E501", side, message, cure))
     a, b = (source if isinstance(source, Results) else Results.load(source) for source in (a, b))
     left, right = ({name: (column, unit) for name, column, unit in results.flat_columns()} for results in (a, b))
     partners = _partners(left, right, names or {})

@@ -393,7 +393,7 @@ def check_loads() -> None:
     """Load matplotlib, so that a run does not come before this fails. Raises UsageError (E501)."""
 
 
-@defaults({"svg.hashsalt": "blocks"})
+@defaults({"svg.hashsalt": "blocks", "pdf.fonttype": 42})  # journals refuse fonts of type 3
 def save(figure: Figure, path: str | Path) -> None:
     """Write a figure to PNG, SVG or PDF, on white; the file is replaced as a whole. Raises UsageError (E501)."""
     ending = check_format(path)

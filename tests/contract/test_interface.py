@@ -289,7 +289,7 @@ def test_sizes_come_from_the_values() -> None:
             {"A": np.eye(2), "B": np.ones((3, 1))},
             "E110 loop.block.B: has the shape 3 x 1, which makes n = 3, but A makes it 2.",
         ),
-        ({"A": [1.0, 2.0]}, "E110 loop.block.A: has 1 dimensions, but 2 are needed."),
+        ({"A": [1.0, 2.0]}, "E110 loop.block.A: has 1 dimension, but 2 are needed."),
         ({"D": [[1.0, 2.0]]}, "E110 loop.block.B: has the shape 2 x 1, which makes m = 1, but D makes it 2."),
         ({"D": [[1.0], [2.0]]}, "E110 loop.block.D: has the shape 2 x 1, but 1 x 1 is needed."),
     ],

@@ -176,7 +176,7 @@ def test_one_input_is_called_u_and_one_output_y(cls: Any) -> None:
     ("name", "given_", "sentence"),
     [
         ("Biquad", {"period": 0.1, "sos": [[1.0, 0.0, 0.0, 0.0, 1.0, 0.0]]}, "sos must not be empty, no a0 may be 0"),
-        ("Biquad", {"period": 0.1, "sos": [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]}, "has 1 dimensions, but 2 are needed"),
+        ("Biquad", {"period": 0.1, "sos": [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]}, "has 1 dimension, but 2 are needed"),
         ("BouncingBall", {"h_start": -1.0}, "the ball must start on the floor or above it"),
         ("BouncingBall", {"e": 1.1}, "must be at most 1.0"),
         ("BuckConverter", {"i_start": -1.0}, "i_start must not be below 0: current does not flow back"),
@@ -246,7 +246,7 @@ def test_one_input_is_called_u_and_one_output_y(cls: Any) -> None:
         ("MovingAverage", {"period": 0.1, "samples": 0}, "must be at least 1"),
         ("Multisine", {"harmonics": [1.0, 2.5]}, "harmonics must be integers above 0, at least one"),
         ("Multisine", {"harmonics": [1.0, 2.0], "amplitude": [1.0] * 3}, "makes n = 3, but harmonics makes it 2"),
-        ("MatrixGain", {"K": [1.0, 2.0]}, "has 1 dimensions, but 2 are needed"),
+        ("MatrixGain", {"K": [1.0, 2.0]}, "has 1 dimension, but 2 are needed"),
         ("MinMax", {"size": 17}, "must be at most 16"),
         ("Mux", {"size": 1.5}, "must be an integer"),
         ("NESO", {}, "give gains or bandwidth"),

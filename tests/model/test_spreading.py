@@ -144,6 +144,23 @@ def test_an_edit_of_a_file_gives_the_same_copies(tmp_path: Path) -> None:
     assert before.count("copies") == 0
 
 
+def test_a_vector_of_one_element_is_wired_by_its_element(tmp_path: Path) -> None:
+    diagram = Diagram("loop")
+    plant = diagram.add("plant", StateSpace(A=[[-1]], B=[[1]], C=[[1]]))
+    step, gain = diagram.add("step", Constant(value=3)), diagram.add("gain", Gain(k=2))
+    before = diagram.copy()
+    diagram.wire(plant.u, step.y)
+    diagram.wire(gain.u, plant.y)
+    assert diagram.to_json()["wires"] == {"plant.u[0]": "step.y", "gain.u": "plant.y[0]"}
+    assert diagram.value.blocks["gain"].copies is None
+    assert diagram.run(stop=30, log=["gain.y"])["gain.y"][-1] == pytest.approx(6)
+    with pytest.raises(ModelError, match=r"E109 plant\.u\[0\]: is already wired to step\.y\."):
+        diagram.wire(plant.u, step.y)
+    before.save(tmp_path / "loop.json")
+    edit_file(tmp_path / "loop.json", [{"wire": "step.y", "to": "plant.u"}, {"wire": "plant.y", "to": "gain.u"}]).write()
+    assert Diagram.load(tmp_path / "loop.json").value.wires == diagram.value.wires
+
+
 def test_a_wire_can_be_removed_and_an_input_wired_again() -> None:
     diagram = with_vector()
     gain, one = diagram.add("gain", Gain(k=2)), diagram.add("one", Constant(value=1))
