@@ -82,18 +82,21 @@ def _pairs(option: str, path: str) -> Iterator[str]:
     """Yield the rows name, value and maybe unit of a CSV file as NAME=VALUE; a header "name,value" may be first."""
     try:
         with opened(path) as file:
-            text = file.read(_LARGEST).decode("utf-8-sig")
-        rows = list(enumerate(csv.reader(text.splitlines()), 1))
+            data = file.read(_LARGEST + 1)
+        if len(data) > _LARGEST:
+            raise csv.Error(f"it has more than {_LARGEST:,} bytes")
+        rows = list(enumerate(csv.reader(data.decode("utf-8-sig").splitlines(), strict=True), 1))
     except (OSError, UnicodeError, csv.Error) as error:
         raise UsageError(Fault("E501", f"{option} @{path}", f"cannot be read: {error}.")) from None
     for line, row in rows:
         cells = [cell.strip() for cell in row]
-        if not any(cells) or cells[0].startswith("#") or (line == 1 and cells[:2] == ["name", "value"]):
+        is_header = line == 1 and [cell.lower() for cell in cells[:2]] == ["name", "value"]
+        if not any(cells) or cells[0].startswith("#") or is_header:
             continue
         if not 2 <= len(cells) <= 3 or not cells[0]:
             what, cure = "is not a name, a value and maybe a unit.", "Write one row for each value: motor.Ra,200,mOhm"
             raise UsageError(Fault("E501", f"{option} @{path}:{line}", what, cure))
-        yield f"{cells[0]}={' '.join(cells[1:])}"
+        yield f"{cells[0]}={' '.join(filter(None, cells[1:]))}"
 
 
 def _parsed(place: str, text: str) -> object:

@@ -36,7 +36,7 @@ from .scalars import OPERATIONS
 _T = TypeVar("_T")
 
 # The length also bounds the number of steps: each takes at least one character.
-_LENGTH, _DEPTH = 1000, 50
+LENGTH, _DEPTH = 1000, 50
 _LARGEST_POWER, _LARGEST_BITS = 64, 4096
 
 
@@ -255,7 +255,7 @@ def _bits(exact: Fraction) -> int:
 
 def names_at(text: str) -> Iterator[tuple[int, int, str]]:
     """The names that an expression reads, each with the offsets at which it begins and ends; also of a faulty one."""
-    for match in _TOKEN.finditer(text[:_LENGTH]):
+    for match in _TOKEN.finditer(text[:LENGTH]):
         is_call = text[match.end() :].lstrip(" \t\r\n").startswith("(") and match[0] in FUNCTIONS
         if match["name"] and match[0] != "pi" and not is_call:
             yield match.start(), match.end(), match[0]
@@ -263,8 +263,9 @@ def names_at(text: str) -> Iterator[tuple[int, int, str]]:
 
 def signals_at(text: str) -> Iterator[tuple[int, int, str]]:
     """Return the signals that a condition reads, each with the offsets at which it begins and ends; see `names_at`."""
-    for match in _TOKEN_OF_SIGNALS.finditer(text[:_LENGTH]):
-        if match["name"] and match[0] not in (*FUNCTIONS, *_WORDS, "pi", "t"):
+    for match in _TOKEN_OF_SIGNALS.finditer(text[:LENGTH]):
+        is_call = text[match.end() :].lstrip(" \t\r\n").startswith("(") and match[0] in FUNCTIONS
+        if match["name"] and match[0] not in (*_WORDS, "pi", "t") and not is_call:
             yield match.start(), match.end(), match[0]
 
 
@@ -279,8 +280,8 @@ def parse(
     Raises:
         ModelError: E108, with the column of the first thing that does not fit, and what was expected there.
     """
-    if len(text) > _LENGTH:
-        message = f"the expression has {len(text)} characters; the limit is {_LENGTH}."
+    if len(text) > LENGTH:
+        message = f"the expression has {len(text)} characters; the limit is {LENGTH}."
         raise ModelError(Fault("E108", "", message, "Split it into several parameters."))
     tokens = _TOKEN_OF_PARTS if has_parts else _TOKEN_OF_TRUTHS if has_truths else _TOKEN
     reader = _ExpressionParser(text, tokens if truths is None else _TOKEN_OF_SIGNALS, truths or frozenset())
@@ -443,7 +444,7 @@ class _ExpressionParser:
         if math.isinf(value):
             raise self._wrong(f"{_shortened(match[0])} is too large", "The largest number is about 1.8e308.")
         # 1e-999999999 is the float 0, but would be a fraction of a billion digits.
-        long = abs(int(match["exponent"] or 0)) > _LENGTH
+        long = abs(int(match["exponent"] or 0)) > LENGTH
         return Scalar(value, None if long else _bounded(Fraction(match[0])))
 
     def _read_call(self, word: str, column: int, depth: int) -> None:

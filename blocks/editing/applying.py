@@ -71,6 +71,8 @@ def text_without(text: str, name: str, folder: str, library: Library) -> str:
     workspace = Workspace(project, Documents(project), {}, library=library, is_alone=True)
     first = workspace.open(Path(folder, ".unsaved diagram"), text=text, is_first=True)
     value = workspace.value(first)
+    if not isinstance(name, str):
+        raise UsageError(Fault("E501", "remove", f"{legible(repr(name))} is not a name.", 'Example: remove("motor").'))
     sections = [section for section in SECTIONS.values() if name in value.get(section, {})]
     if not sections:
         names = [key for section in SECTIONS.values() for key in value.get(section, {})]

@@ -129,7 +129,7 @@ def _put_values(spot: Spot, targets: set[Target], gone: set[Steps]) -> bool:
             for reference in references(document, spot.file, spot.workspace.documents)
             if reference.targets & targets
             and not tree.is_within(reference.path, gone)
-            and is_expression(_value_at(document.value, reference))
+            and _is_formula(reference, _value_at(document.value, reference))
         ]
         names: dict[Target, str] = {}
         value = document.value
@@ -148,6 +148,12 @@ def _put_values(spot: Spot, targets: set[Target], gone: set[Steps]) -> bool:
         left = [reference for reference in found if _value_at(value, reference) == _value_at(document.value, reference)]
         spot.put(tree.with_names(value, left, names))
     return has_values
+
+
+def _is_formula(reference: Reference, text: object) -> bool:
+    """Return whether a text reads parameters only, in one place: an expression, or the condition that ends a run."""
+    is_condition = reference.path[-1:] == ("stop_when",)
+    return is_expression(text) or (is_condition and all(target.kind == "parameter" for target in reference.targets))
 
 
 def _value_at(value: object, reference: Reference) -> Any:
@@ -193,7 +199,7 @@ def _that_mean(
     document = workspace.document(file)
     found = set()
     for reference in references(document, file, workspace.documents):
-        if has_values and is_expression(_value_at(document.value, reference)):
+        if has_values and _is_formula(reference, _value_at(document.value, reference)):
             continue
         # A claim about two runs needs the measures of both; what goes through variants means any of them.
         some = {target for target in reference.targets & targets if target.kind == "measure"}

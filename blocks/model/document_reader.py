@@ -173,6 +173,8 @@ class DocumentReader:
     def measure(self, entry: Mapping[str, object]) -> Mapping[str, object]:
         """Return a measure of version 3: a plain number of version 2 becomes an expression, which is in SI, too."""
         against = entry.get("against")
+        if isinstance(against, Mapping) and not against.get("unit"):
+            against = against.get("value")
         return {**entry, "against": f"={against!r}"} if self.is_old and is_number(against) else entry
 
     def names(self, tables: Mapping[str, Mapping[str, object]], path: Steps) -> None:

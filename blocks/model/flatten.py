@@ -16,7 +16,7 @@ from itertools import islice
 from typing import Any
 
 from ..contract.block import Block
-from ..contract.expressions import RELATIONS, PostfixStep, exact_time, parse, signals_at
+from ..contract.expressions import LENGTH, RELATIONS, PostfixStep, exact_time, parse, signals_at
 from ..contract.interface import Interface, Value
 from ..contract.resolution import resolve
 from ..host.gc_pause import paused
@@ -311,8 +311,13 @@ class _Flattener:
         names = dict.fromkeys(name for _, _, name in signals_at(text))
         read = {name: signal for name in names if (signal := element_of(name, signals)) is not None}
         constants = [name for name in names if name not in read and name in self.root.parameters]
-        self.check_names(text, read, [name for name in names if name not in {*read, *constants}], signals)
-        if len(self.faults) > before or not text or None in [self.root.parameters[name] for name in constants]:
+        missing = [name for name in names if name not in {*read, *constants}]
+        if len(text) > LENGTH:
+            self.refuse_ending("E108", f"the condition has {len(text)} characters; the limit is {LENGTH}.")
+        else:
+            self.check_names(text, read, missing, signals)
+        is_absent = missing or None in [self.root.parameters[name] for name in constants]
+        if len(self.faults) > before or not text or is_absent:
             return None
         truths = frozenset(name for name, signal in read.items() if signal.type == "bool")
         self.check_condition(text, read, truths)
@@ -323,6 +328,9 @@ class _Flattener:
         numbered |= {name: f"k{k + 1}" for k, name in enumerate(constants)}
         for begin, end, name in [*signals_at(text)][::-1]:
             text = text[:begin] + (f"({numbered[name]} > 0)" if name in truths else numbered[name]) + text[end:]
+        if len(text) > LENGTH:
+            self.refuse_ending("E108", "the condition reads too many signals.", "Join some of them in a block Logic.")
+            return None
         path = "stop_when"
         while any(path in names for names in (self.root.children, self.root.parameters, self.diagram.inputs)):
             path += "_"

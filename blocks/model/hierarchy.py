@@ -560,7 +560,8 @@ class Hierarchy:
                 raise ModelError(Fault("E109", name, message, "Rename one of them."))
         except ModelError as error:
             own = cls.declaration.name
-            misspelt = any(word not in cls.declaration.parameters for word in scope.value.blocks[name].parameters)
+            written = scope.value.blocks.get(name, BlockEntry()).parameters  # the condition of a run has no entry
+            misspelt = any(word not in cls.declaration.parameters for word in written)
             for fault in error.faults:
                 if misspelt and fault.place.rpartition(".")[2] not in given:
                     continue  # what is missing is probably what is misspelt, and that was reported

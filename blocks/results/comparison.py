@@ -162,6 +162,9 @@ def _partners(left: Collection[str], right: Collection[str], names: Mapping[str,
 
     Raises UsageError (E501) for a pair of names of which one side lacks its own.
     """
+    if not isinstance(names, Mapping) or not all(isinstance(text, str) for pair in names.items() for text in pair):
+        cure = 'Example: names={"motor.omega": "speed"}.'
+        raise UsageError(Fault("E501", "names", "must be a mapping from names in A to names in B.", cure))
     partners = {name: name for name in left if name in right}
     for ours, theirs in names.items():
         for name, known, side in ((ours, left, "A"), (theirs, right, "B")):
@@ -169,8 +172,13 @@ def _partners(left: Collection[str], right: Collection[str], names: Mapping[str,
                 cure = did_you_mean(name, known) or f"Signals: {', '.join([*known][:20])}."
                 raise UsageError(Fault("E501", "names", f"there is no signal {quoted(name)} in {side}.", cure))
         renamed = {each: theirs + rest for each in left if (rest := _rest(each, ours)) is not None}
-        partners = {each: other for each, other in partners.items() if other not in renamed.values()}
-        partners |= {each: other for each, other in renamed.items() if other in right}
+        pairs = {each: other for each, other in renamed.items() if other in right}
+        if not pairs:
+            what = f"{quoted(ours)} in A and {quoted(theirs)} in B have no elements in common."
+            raise UsageError(Fault("E501", "names", what, "Name two signals of one size, or two elements."))
+        taken = pairs.values()
+        partners = {each: other for each, other in partners.items() if each not in renamed and other not in taken}
+        partners |= pairs
     return {name: partners[name] for name in left if name in partners}
 
 

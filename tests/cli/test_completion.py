@@ -66,7 +66,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("list Zero", "words", ["ZeroOrderHold", "ZeroPoleGain"]),
         ("explain E10", "words", [f"E10{k}" for k in range(1, 10)]),
         ("fmu co", "words", ["compile"]),
-        ("fmu run motor.fmu --st", "words", ["--start", "--step", "--stop"]),
+        ("fmu run motor.fmu --st", "words", ["--start", "--step", "--stop", "--stop-when"]),
         ("fmu info ", "files fmu", []),
         ("linearize drive.json --amplitude motor.o", "words nospace", ["motor.omega="]),
         ("compare a.csv ", "files", []),

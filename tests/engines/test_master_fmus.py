@@ -33,7 +33,9 @@ from blocks import (
     DeadZone,
     Diagram,
     FirstOrder,
+    Gain,
     Input,
+    Integrator,
     Parameter,
     PMDCMotor,
     Ramp,
@@ -1110,6 +1112,28 @@ def motor_with_events(folder: Path) -> Path:
     d.output("is_fast", "relay.y")
     d.export(folder / "motor.fmu", fmi=3)
     return folder / "motor.fmu"
+
+
+@each_engine
+@pytest.mark.parametrize(("scale", "kick"), [(1.0, 0.0), (1e-12, 0.0), (1.0, 1e10)])
+def test_a_small_jump_of_a_signal_is_no_rounding(tmp_path: Path, scale: float, kick: float, engine: str) -> None:
+    """A signal of any size jumps, also one that was much larger before: nothing is extrapolated across the jump."""
+    gain = Diagram("gain")
+    gain.wire(gain.add("gain", Gain()).u, gain.input("u"))
+    gain.output("y", "gain.y")
+    gain.export(tmp_path / "gain.fmu")
+    d = Diagram("d")
+    total = d.add("total", Sum(signs="+++"))
+    d.wire(total.u1, d.add("step", Step(at=0.5, after=scale)).y)
+    d.wire(total.u2, d.add("wave", Sine(amplitude=0.01 * scale)).y)
+    d.wire(total.u3, d.add("kick", Step(at=0.1, before=kick, after=0)).y)
+    plant, area = d.add("plant", fmu(tmp_path / "gain.fmu", "CS")), d.add("area", Integrator())
+    d.wire(plant.u, total.y)
+    d.wire(area.u, plant.y)
+    results = d.run(stop=1, engine=engine, trust=tmp_path)
+    area_from = results["area.y"][np.searchsorted(results.t, 0.3)]
+    exact = 0.5 + 0.01 * (np.cos(0.3) - np.cos(1.0))
+    assert (results["area.y"][-1] - area_from) / scale == pytest.approx(exact, abs=2e-5)
 
 
 @each_engine

@@ -12,6 +12,7 @@ from fmpy import simulate_fmu
 from fmpy.validation import validate_fmu
 
 from blocks import (
+    CompareToConstant,
     Constant,
     Diagram,
     FirstOrder,
@@ -19,6 +20,7 @@ from blocks import (
     Integrator,
     ModelError,
     Mux,
+    Ramp,
     Relay,
     TransportDelay,
     UsageError,
@@ -307,6 +309,8 @@ def test_a_condition_in_a_file_is_kept_renamed_and_removed(tmp_path):
     edit_file(path, renames).write()
     assert json.loads(path.read_text())["run"]["stop_when"] == "z.y <= low or out < 0"
     edit_file(path, [{"remove": "blocks.speed"}, {"remove": "parameters.low"}]).write()
+    assert json.loads(path.read_text())["run"]["stop_when"] == "z.y <= 0.0 or out < 0"  # parameters leave their values
+    edit_file(path, [{"remove": "blocks.z"}]).write()
     assert "stop_when" not in json.loads(path.read_text())["run"]
 
 
@@ -325,3 +329,56 @@ def test_the_command_line_reports_the_end(tmp_path):
 def test_the_origin_of_results_has_the_condition():
     results = falling().run(stop=5, stop_when="height.y <= 0", engine="reference")
     assert results.origin.settings["stop_when"] == "height.y <= 0"
+
+
+def test_a_block_with_a_fault_of_its_own_is_reported_alone() -> None:
+    value = {"format": "blocks-diagram", "version": 3, "name": "o", "run": {"stop": 1, "stop_when": "g.y > 1"}}
+    with pytest.raises(ModelError) as caught:
+        Diagram.from_json({**value, "blocks": {"g": {"type": "Nope"}}}).check()
+    assert [fault.code for fault in caught.value.faults] == ["E103"]
+
+
+def test_a_signal_may_be_called_like_a_function() -> None:
+    diagram = Diagram("d")
+    diagram.input("mod", default=0)
+    diagram.add("r", Ramp())
+    results = diagram.run(stop=5, stop_when="r.y > mod + mod(7, 4)")
+    assert results.t[-1] == pytest.approx(3, rel=1e-14)
+
+
+@pytest.mark.parametrize("count", [140, 300])
+def test_a_condition_that_is_too_long_is_refused(count: int) -> None:
+    diagram = Diagram("d")
+    on = diagram.add("e", CompareToConstant())
+    diagram.wire(on.u, diagram.add("r", Ramp()).y)
+    with pytest.raises(ModelError, match=r"E108 run\.stop_when: the condition (reads too many|has 2096 characters)"):
+        diagram.run(stop=1, stop_when=" or ".join(["e.y"] * count))
+
+
+def test_a_removed_parameter_leaves_its_value_in_the_condition() -> None:
+    diagram = Diagram("d")
+    limit = diagram.parameter("limit", 3)
+    diagram.add("r", Ramp())
+    diagram.settings(stop=5, stop_when=f"r.y > {limit[1:]}")
+    diagram.remove("limit")
+    assert diagram.to_json()["run"]["stop_when"] == "r.y > 3"
+    assert diagram.run().t[-1] == pytest.approx(3, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("condition", "said"),
+    [
+        ("r.y >= limit", r"r\.y \[m\] and limit \[V\] are different quantities"),
+        ("fast.y >= 50", r'fast\.y is in km/h, but numbers of a condition are in SI.*"value": 50, "unit": "km/h"'),
+    ],
+)
+def test_a_comparison_of_unlike_units_is_refused(condition: str, said: str) -> None:
+    diagram = Diagram("d")
+    diagram.parameter("limit", 3, unit="V")
+    diagram.parameter("top", 36, unit="km/h")
+    diagram.add("r", Ramp(unit="m"))
+    diagram.add("fast", Ramp(unit="km/h"))
+    with pytest.raises(ModelError, match=f"E104 run.stop_when: {said}"):
+        diagram.run(stop=50, stop_when=condition)
+    assert diagram.run(stop=50, stop_when="fast.y >= top").t[-1] == pytest.approx(36)
+    assert diagram.run(stop=50, stop_when="r.y >= 7").t[-1] == pytest.approx(7)

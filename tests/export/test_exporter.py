@@ -941,7 +941,7 @@ def test_directional_derivatives_are_the_jacobian_of_the_diagram(name: str, fmi:
     ]
     exact = PlanJacobian(plan, [*plan.derivatives, *outputs], by)
     state = run.snapshot()
-    now = Snapshot.of_rows(state.rows, state.exact, plan.histories)
+    now = Snapshot.of_rows(state.rows, state.exact, plan)
     u = [float(item) for key in derived.inputs for item in np.ravel(run[key])]
     memory = now.t, now.x, now.d, now.s, plan.parameters, u, now.ticks, now.delayed(now.t), now.z
     values = CompiledPrograms(plan).program("outputs", exact.outputs)(*memory)

@@ -157,7 +157,8 @@ def test_a_vector_of_one_element_is_wired_by_its_element(tmp_path: Path) -> None
     with pytest.raises(ModelError, match=r"E109 plant\.u\[0\]: is already wired to step\.y\."):
         diagram.wire(plant.u, step.y)
     before.save(tmp_path / "loop.json")
-    edit_file(tmp_path / "loop.json", [{"wire": "step.y", "to": "plant.u"}, {"wire": "plant.y", "to": "gain.u"}]).write()
+    edits = [{"wire": "step.y", "to": "plant.u"}, {"wire": "plant.y", "to": "gain.u"}]
+    edit_file(tmp_path / "loop.json", edits).write()
     assert Diagram.load(tmp_path / "loop.json").value.wires == diagram.value.wires
 
 

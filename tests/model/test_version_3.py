@@ -42,6 +42,8 @@ def error(document: dict[str, Any], **options: Any) -> float:
         (3, "30 rpm", "rpm", 70 * RPM),
         (3, {"value": 0.5, "unit": "rev/s"}, "rpm", 70 * RPM),
         (2, {"value": 30, "unit": "rpm"}, "rpm", 70 * RPM),
+        (2, {"value": 30}, "rpm", 100 * RPM - 30),
+        (2, {"value": 30, "unit": ""}, "rpm", 100 * RPM - 30),
         (2, "30 rpm", "rpm", 70 * RPM),
         (3, "=30", "rpm", 100 * RPM - 30),
         (3, {"value": "=30", "unit": "rpm"}, "rpm", 100 * RPM - 30),

@@ -378,3 +378,14 @@ def test_files_are_compared_by_their_paths(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as caught:
         compare(a, tmp_path / "none.csv")
     assert caught.value.code == "E503"
+
+
+def test_names_that_pair_no_elements_are_refused_and_hide_no_signal() -> None:
+    a, b = results([0, 1], x=[0, 1], z=[5, 5]), results([0, 1], x=[0, 1], w=[5, 5])
+    with pytest.raises(UsageError, match=r'E501 names: "x" in A and "w\.y" in B have no elements in common\.'):
+        compare(a, b, names={"x": "w.y"})
+    for names in (["x.y"], {"x.y": 3}):
+        with pytest.raises(UsageError, match="E501 names: must be a mapping from names in A to names in B"):
+            compare(a, b, names=names)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="E501 b: must be results or the path of a result file, not Signal"):
+        compare(a, b["x.y"])  # type: ignore[arg-type]

@@ -67,7 +67,6 @@ class CoupledRun(Exchange, ABC):
         self.broken = self.t
         self.control = StepControl()
         self.fresh = 0  # so many steps since something jumped
-        self.sizes = [0.0] * len(coupling.elements)  # the largest that each element was
         self.set_aside: dict[int, Point] = {}  # past points that closer ones have replaced, by element
         self.end = math.nan if settings.stop is None else float(settings.stop)
         self.waiting: dict[int, list[Course]] = {}  # courses of units that cannot stop where their inputs jumped
@@ -213,7 +212,6 @@ class CoupledRun(Exchange, ABC):
         is_new = is_late = False
         for g in here:
             unit = coupling.elements[g].unit
-            self.sizes[g] = max(self.sizes[g], abs(self.y[g]))
             is_followed = bool(coupling.readers[g] and not coupling.elements[g].held)
             if g in renewed:
                 self.past[g] = [(t, self.y[g])]
@@ -229,8 +227,9 @@ class CoupledRun(Exchange, ABC):
 
     def _has_jumped(self, g: int, before: float) -> bool:
         """Return whether an element, which has another value than before the instant, differs by more than rounding."""
-        now = self.y[g]
-        size = max(self.sizes[g], abs(now), abs(before), 1e-3)
+        now, aside = self.y[g], self.set_aside.get(g)
+        points = [*self.past[g], *([] if aside is None else [aside])]
+        size = max(abs(now), abs(before), *(abs(y) for _, y in points))
         return self.plan.elements[g].held or not abs(now - before) <= JUMPED * size
 
     def _add_point(self, g: int, apart: float) -> bool:

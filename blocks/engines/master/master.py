@@ -279,7 +279,7 @@ class ReferenceMaster(CoupledRun):
 
     def kept(self) -> dict[str, Any]:
         """All that a step changes, to go back to; it is dropped when it is not needed any more."""
-        names = "t exact at next y past sizes set_aside segment broken fresh instants"
+        names = "t exact at next y past set_aside segment broken fresh instants"
         return {
             **{name: copy.deepcopy(getattr(self, name)) for name in names.split()},
             "rows": self.recording.rows,

@@ -244,7 +244,7 @@ class NativeMaster(CoupledRun):
         self._c_stages(m)
         m.ordered, m.at_instants = self._array(coupling.order, np.int32), self._array(coupling.at_instants, np.int32)
         m.has_unsure = int(bool(self.unsure))
-        past = [MasterPast(n=1, t=(self.t,), y=(y,), size=abs(y)) for y in self.y]
+        past = [MasterPast(n=1, t=(self.t,), y=(y,)) for y in self.y]
         m.past, m.old, m.kept_past = (self._structures(MasterPast, past) for _ in range(3))
         self._c_elements(m)
         m.columns, m.ncolumns = self._links(coupling.columns), len(coupling.columns)

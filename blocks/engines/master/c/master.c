@@ -170,7 +170,6 @@ static void remember(MasterPast *p, double t, double y)
 static int add_point(MasterPast *p, double t, double y, double apart)
 {
     int is_close = p->n && t - p->t[0] < apart;
-    p->size = fmax(p->size, fabs(y));
     if (is_close && (!p->has_aside || t - p->aside_t < apart)) {
         if (!p->has_aside && p->t[0] < t) p->aside_t = p->t[0], p->aside_y = p->y[0], p->has_aside = 1;
         p->t[0] = t, p->y[0] = y;
@@ -186,7 +185,6 @@ static void begin_anew(MasterPast *p, double t, double y)
 {
     p->n = 1, p->has_aside = 0;
     p->t[0] = t, p->y[0] = y;
-    p->size = fmax(p->size, fabs(y));
 }
 
 static double input_at(const Master *m, int place, double t)
@@ -375,7 +373,10 @@ static int moved_now(const Master *m, int g) { return m->units[m->elements[g].un
 /* Whether an element, which had another value before, differs by more than rounding. */
 static int has_jumped(const Master *m, int g, double before)
 {
-    double now = m->y[g], size = fmax(fmax(m->past[g].size, 1e-3), fmax(fabs(now), fabs(before)));
+    const MasterPast *p = &m->past[g];
+    double now = m->y[g], size = fmax(fabs(now), fabs(before));
+    for (int i = 0; i < p->n; i++) size = fmax(size, fabs(p->y[i]));
+    if (p->has_aside) size = fmax(size, fabs(p->aside_y));
     return m->elements[g].is_held || !(fabs(now - before) <= JUMPED * size);
 }
 

@@ -123,11 +123,10 @@ typedef struct {
     double *work; /* (n (n + 5)) */
 } MasterLoop;
 
-/* aside: a point that a closer one has replaced; it comes back once a point lies far enough from it. size: the largest that
-   the element was. */
+/* aside: a point that a closer one has replaced; it comes back once a point lies far enough from it. */
 typedef struct {
     int32_t n, has_aside;
-    double t[3], y[3], aside_t, aside_y, size;
+    double t[3], y[3], aside_t, aside_y;
 } MasterPast;
 
 /* An element of a circle of units that is watched: see growth.py. */
