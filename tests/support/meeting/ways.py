@@ -292,8 +292,9 @@ def ended(case: Case, base: Outcome) -> Iterator[Disagreement]:
         return
     end, name = [0.63, 0.85, 1.07][case["seed"] % 3], names[case["seed"] % len(names)]
     is_coupled = case["row"]["fmu"] in ("cs2", "cs3")  # its master may step otherwise where something is crossed
+    # It reads a signal, and crosses nothing before the end: a crossing would cut a step, and change the last bits.
     is_bool = diagram_of(case).flatten(given(case)).signals[name].type == "bool"
-    holds = f"({name} or not {name})" if is_bool else f"({name} >= 0 or not {name} > 0)"
+    holds = f"({name} or not {name})" if is_bool else f"{name} > -1e300"
     for engine, tolerance in (("native", tolerance_of(case) if is_coupled else 0.0), ("reference", tolerance_of(case))):
         other = run(case, engine, stop_when=f"t >= {end} and {holds}")
         if other.error or abs(other.signals["t"][-1] - end) > (0.011 if is_coupled else 1e-12):
