@@ -295,10 +295,13 @@ def ended(case: Case, base: Outcome) -> Iterator[Disagreement]:
     # It reads a signal, and crosses nothing before the end: a crossing would cut a step, and change the last bits.
     is_bool = diagram_of(case).flatten(given(case)).signals[name].type == "bool"
     holds = f"({name} or not {name})" if is_bool else f"{name} > -1e300"
-    for engine, tolerance in (("native", tolerance_of(case) if is_coupled else 0.0), ("reference", tolerance_of(case))):
+    tolerance = tolerance_of(case)
+    for engine in ("native", "reference"):
         other = run(case, engine, stop_when=f"t >= {end} and {holds}")
         if other.error or abs(other.signals["t"][-1] - end) > (0.011 if is_coupled else 1e-12):
             yield Disagreement(f"ended by {engine}", "t", f"{end}", other.error or str(other.signals["t"][-1]))
+            continue
+        if is_coupled:  # other communication points are another coupling error
             continue
         rows = [
             Outcome({key: values[side.signals["t"] < end] for key, values in side.signals.items() if values.ndim and
