@@ -254,18 +254,20 @@ def _bits(exact: Fraction) -> int:
 
 
 def names_at(text: str) -> Iterator[tuple[int, int, str]]:
-    """The names that an expression reads, each with the offsets at which it begins and ends; also of a faulty one."""
-    for match in _TOKEN.finditer(text[:LENGTH]):
-        is_call = text[match.end() :].lstrip(" \t\r\n").startswith("(") and match[0] in FUNCTIONS
-        if match["name"] and match[0] != "pi" and not is_call:
-            yield match.start(), match.end(), match[0]
+    """Return the names that an expression reads, with the offsets of begin and end; also those of a faulty one."""
+    return _names_in(text, _TOKEN, ("pi",))
 
 
 def signals_at(text: str) -> Iterator[tuple[int, int, str]]:
-    """Return the signals that a condition reads, each with the offsets at which it begins and ends; see `names_at`."""
-    for match in _TOKEN_OF_SIGNALS.finditer(text[:LENGTH]):
+    """Return the signals that a condition reads, with the offsets of begin and end; see `names_at`."""
+    return _names_in(text, _TOKEN_OF_SIGNALS, (*_WORDS, "pi", "t"))
+
+
+def _names_in(text: str, tokens: re.Pattern[str], apart: tuple[str, ...]) -> Iterator[tuple[int, int, str]]:
+    """Yield the names in a text with their offsets, except functions that are called and the words `apart`."""
+    for match in tokens.finditer(text[:LENGTH]):
         is_call = text[match.end() :].lstrip(" \t\r\n").startswith("(") and match[0] in FUNCTIONS
-        if match["name"] and match[0] not in (*_WORDS, "pi", "t") and not is_call:
+        if match["name"] and match[0] not in apart and not is_call:
             yield match.start(), match.end(), match[0]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,13 @@ from .realization import Realization, balanced, equivalent, period
 from .systems import Source, StateSpace, is_of, polynomials
 
 _EPS = float(np.finfo(float).eps)
+
+
+def verdict_of(stable: bool | None, border: Collection[complex], unstable: Collection[complex]) -> str:
+    """Return "stable", "border" (at the border of stability within rounding), "unstable", or "unknown"."""
+    if stable is None:
+        return "unknown"
+    return "stable" if stable else "border" if border and not unstable else "unstable"
 
 
 @dataclass(frozen=True, slots=True)

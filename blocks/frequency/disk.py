@@ -21,7 +21,7 @@ import numpy as np
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.rich_output import Shown, Table
-from .closed_loop import closed_loop, frequencies_of, is_stable_by_encirclements
+from .closed_loop import closed_loop, frequencies_of, is_stable_by_encirclements, verdict_of
 from .delayed import Rational
 from .lifted import Lifted
 from .margins import Margins, at_text, gain_text, margins, pole_text
@@ -67,9 +67,7 @@ class DiskMargins(Shown):
     @property
     def verdict(self) -> str:
         """ "stable", "border" (at the border of stability within rounding), "unstable", or "unknown"."""
-        if self.stable is None:
-            return "unknown"
-        return "stable" if self.stable else "border" if self.border and not self.unstable else "unstable"
+        return verdict_of(self.stable, self.border, self.unstable)
 
     @property
     def disk_gains(self) -> tuple[float, float]:
@@ -90,7 +88,7 @@ class DiskMargins(Shown):
         return (1 - a) / (1 + b), math.inf if b == 1 else (1 + a) / (1 - b)
 
     def as_json(self) -> dict[str, Any]:
-        """What --json prints; null where it is infinite, and where there is none."""
+        """Return the values that --json prints; null for infinite and missing ones."""
         keys = ("disk", "disk_frequency", "disk_phase_deg", "disk_most", "Ms", "Ms_frequency", "Mt", "Mt_frequency")
         factors = zip(self.channels, self.worst, strict=False)
         return {

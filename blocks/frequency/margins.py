@@ -28,6 +28,7 @@ from .closed_loop import (
     is_stable_by_encirclements,
     judged,
     return_of_values,
+    verdict_of,
 )
 from .dead_time import extrema, is_stable, stretches
 from .delayed import DelayedModel
@@ -98,9 +99,7 @@ class Margins(Shown):
     @property
     def verdict(self) -> str:
         """ "stable", "border" (at the border of stability within rounding), "unstable", or "unknown"."""
-        if self.stable is None:
-            return "unknown"
-        return "stable" if self.stable else "border" if self.border and not self.unstable else "unstable"
+        return verdict_of(self.stable, self.border, self.unstable)
 
     @property
     def gain(self) -> float | None:
@@ -201,7 +200,7 @@ class Margins(Shown):
         return 2 * math.degrees(math.atan(self.disk / 2))
 
     def as_json(self) -> dict[str, float | bool | None]:
-        """What --json prints; null where it does not apply, and where it is infinite."""
+        """Return the values that --json prints; null for infinite ones and those that do not apply."""
         words = {"stable": self.stable, "border": self.verdict == "border"}
         return {**{key: _finite(getattr(self, key)) for key in IN_JSON}, **words}
 

@@ -52,7 +52,8 @@ def fitted(value: DiagramValue, sink: str, source: str, resolver: Resolver) -> t
         cls = None if entry is None or entry.copies is not None or entry.variants else _class_of(entry, resolver)
         if entry is None or cls is None:
             return sink, source
-        shapes.append(_shape(value, name, entry, port, resolver, is_input=is_input) if _has_vectors(cls) else ())
+        is_vector = _has_vectors(cls, is_input=is_input)
+        shapes.append(_shape(value, name, entry, port, resolver, is_input=is_input) if is_vector else ())
     if shapes == [(1,), ()]:
         return f"{sink}[0]", source
     return (sink, f"{source}[0]") if shapes == [(), (1,)] else (sink, source)
@@ -69,7 +70,7 @@ def _copies_of(value: DiagramValue, changed: Mapping[str, BlockEntry], source: s
     name, _, port = base.partition(".")
     entry = changed.get(name) or value.blocks.get(name)
     cls = None if entry is None else _class_of(entry, resolver)
-    if entry is None or cls is None or (entry.copies is None and not _has_vectors(cls)):
+    if entry is None or cls is None or (entry.copies is None and not _has_vectors(cls, is_input=False)):
         return None
     shape = _shape(value, name, entry, port, resolver)
     if entry.copies is not None:
@@ -85,11 +86,12 @@ def _class_of(entry: BlockEntry, resolver: Resolver) -> type[Block] | None:
 
 
 @cache
-def _has_vectors(cls: type[Block]) -> bool:
-    """Return whether a port of a class may have several elements."""
+def _has_vectors(cls: type[Block], *, is_input: bool) -> bool:
+    """Return whether an input, or an output, of a class may have several elements."""
     said = cls.declaration
-    tables = said.inputs, said.outputs, said.states, said.discretes, said.algebraics, said.given, said.stepped
-    return any(variable.shape != () for table in tables for variable in table.values())
+    tables = (said.outputs, said.states, said.discretes, said.algebraics, said.given, said.stepped)
+    ports = said.inputs.values() if is_input else (variable for table in tables for variable in table.values())
+    return any(port.shape != () for port in ports if getattr(port, "output", True))
 
 
 @cache

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
-from ..api.case import Case, ModelWords, Work, key_of, sources
+from ..api.case import EMPTY, Case, ModelWords, Work, key_of, sources
 from ..host.progress_line import in_rows, live_line
 from ..model.block_signals import element_of
 from ..model.diagram_grammar import MEASURE_UNITS
@@ -177,7 +177,7 @@ def _scenarios(scenarios: Mapping[str, Mapping[str, object] | Case] | None, *, i
             message, cure = "has more than parameters, which workers are not given.", "Leave on= out."
         if message:
             raise UsageError(Fault("E501", f"scenarios.{name}", message, cure))
-    return given or {"": Case()}
+    return given or {"": EMPTY}
 
 
 def _check_units(names: Sequence[str], batches: Sequence[Batch]) -> None:
