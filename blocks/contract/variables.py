@@ -33,7 +33,7 @@ Shape = int | str | tuple[int | str, ...] | Function
 AnyUnit: TypeAlias = "str | Function | Parameter"
 """What `unit=` takes: a text, a unit parameter of the class or an expression of some, or a function."""
 Ports: TypeAlias = "str | Parameter"
-"""What `ports=` takes: a name with {} for the number, or a structural text of the class that lists the names."""
+"""The values of `ports=`: a name with {} for the number, or a structural text of the class that lists the names."""
 
 
 class Variable:

@@ -110,7 +110,7 @@ def _form(given):
 
 
 class _Formula(Block, abstract=True):
-    """What formulas read."""
+    """The parameters and inputs of formulas."""
 
     expression = Parameter("u1", structural=True, type="string", doc="the formula")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
@@ -149,7 +149,7 @@ class Expression(_Formula, form=_form):
 
 @functools.cache
 def _jumping(mods, count, is_truth):
-    """Return the class of formulas with so many mod and so many differences of relations."""
+    """Return the class of formulas with this number of mod and of differences of relations."""
     read = ("u", "k", "t", "expression")
     turns, sides = [f"turns{j + 1}" for j in range(mods)], [f"side{j + 1}" for j in range(count)]
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..text.arrays import Array
 
 SHARES = ("RiseTime", "SettlingTime", "SettlingMin", "SettlingMax", "Overshoot", "Undershoot")
-"""What has no value without a final value."""
+"""The keys that need a final value."""
 
 
 def step_info(y: Array, t: Array, final: float | None, threshold: float, rise: tuple[float, float]) -> dict[str, float]:

@@ -1142,7 +1142,7 @@ def test_a_small_jump_of_a_signal_is_no_rounding(tmp_path: Path, scale: float, k
 def test_a_controller_reaches_and_leaves_its_limits_beside_an_fmu(
     tmp_path: Path, plant: str, lower: float, engine: str
 ) -> None:
-    """At a limit a signal jumps by a rounding error only: no course begins anew there, and nothing chatters."""
+    """At a limit the signal changes by a rounding error only, so no extrapolation restarts, and nothing chatters."""
     value = Diagram.load(ROOT / "diagrams" / "motor_pid.json").to_json()
     value["blocks"]["control"]["parameters"]["lower"] = lower
     d = Diagram.from_json(json.dumps(value))

@@ -19,8 +19,8 @@ the unit, else ROUGH, because rounding would bend a course through both."""
 SMALLEST = 1024
 """The smallest part of a step that is tried where a whole one is discarded."""
 JUMPED = 1e-11
-"""What changes at an instant by less than this part of its last values has not jumped: a limit takes over from a signal
-within a rounding error."""
+"""A signal that changes at an instant by less than this part of its last values has not jumped: a limit takes over from
+it within a rounding error."""
 MISSES, NEAR_MISSES, GROWTH = 30, 10, 1e6
 """What grows without bound: growth.py."""
 ROUNDING = 1e-13
