@@ -70,6 +70,18 @@ def test_a_given_input_moves_the_run_from_there(engine):
     assert ended["plant.y"][-1] == pytest.approx(2.2)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_run_from_a_point_ends_by_a_condition_that_has_mod(engine):
+    d = loop()
+    point = find_operating_point(d, inputs={"r": -3.5})  # the start of the diagram is at 0, above
+    results = d.run(stop=30, resume=point, inputs={"r": -4.5}, stop_when="mod(plant.y, 2) > 1.5", engine=engine)
+    assert (results["plant.y"][0], results["plant.y"][-1]) == (pytest.approx(-3.5), pytest.approx(-4.0))
+    again = find_operating_point(d, inputs={"r": 1.5}, stop_when="mod(plant.y, 2) > 1.8")
+    assert d.run(stop=1, resume=again, inputs={"r": 1.5}, engine=engine)["plant.y"][-1] == pytest.approx(1.5)
+    other = d.run(stop=30, resume=again, inputs={"r": 1.7}, stop_when="mod(plant.y, 2) > 1.6", engine=engine)
+    assert other["plant.y"][-1] == pytest.approx(1.6)
+
+
 def test_a_point_of_another_diagram_is_refused():
     other = Diagram("other")
     other.wire(other.add("x", Integrator()).u, other.add("one", Constant(value=0.0)).y)

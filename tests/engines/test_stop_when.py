@@ -188,6 +188,27 @@ def test_a_run_that_ended_goes_on_with_another_condition(engine, method, tmp_pat
     assert rest.t[-1] == pytest.approx(FALL, abs=1e-12)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_run_goes_on_with_another_condition_that_has_mod(engine, tmp_path):
+    d = falling()
+    plain, ended = d.start(stop=5, engine=engine), d.start(stop=5, stop_when="mod(height.y, 3) <= 0.8", engine=engine)
+    plain.advance(0.25)
+    ended.finish()
+    assert ended.t == pytest.approx(math.sqrt(2 * 0.2 / G), abs=1e-12)  # mod(9.8, 3) = 0.8
+    for run in (plain, ended):
+        run.save(tmp_path / "state")
+        for state in (tmp_path / "state", run.snapshot()):
+            for text, height in (
+                ("mod(height.y, 4) > 3.5", 8.0),
+                ("mod(-height.y, 4) < 2.1 and height.y < 9", 8.0),
+                ("mod(-height.y, 4) >= 2.5 and height.y < 8", 5.5),
+                ("mod(2*mod(height.y, 4), 3) < 0.5 and height.y < 9.6", 9.6),
+            ):
+                rest = d.run(stop=2, stop_when=text, resume=state, engine=engine)
+                assert rest.t[-1] == pytest.approx(math.sqrt(2 * (HEIGHT - height) / G), abs=1e-12), text
+            assert d.run(stop=1, resume=state, engine=engine).t[-1] == 1
+
+
 def test_a_point_of_a_run_may_lie_behind_the_end():
     d = falling()
     assert d.point(at=2.0, stop_when="height.y <= 5", stop=5).t == 2.0

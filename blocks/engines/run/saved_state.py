@@ -12,7 +12,7 @@ import math
 import os
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -36,7 +36,7 @@ from .state_rows import check_rows, input_rows, inputs_of, recorded_width
 
 FORMAT, VERSION = "blocks-state", 2
 ENDING = "run.stop_when "
-"""With this begin the names of the crossings of the condition that ends a run."""
+"""With this begin the names of the crossings and the discretes of the condition that ends a run."""
 MOST_BYTES, MOST_MEMBERS = 2**28, 3  # states of version 1, which are refused by their version, have three
 MOST_VALUES = 2**21
 """The most lists, objects and commas in the JSON of a state: in memory, `[],` takes 20 times as much as in the file."""
@@ -79,7 +79,7 @@ def fit(plan: Plan) -> dict[str, Any]:
     }
     return {
         "states": list(plan.states),
-        "discretes": list(plan.discretes),
+        "discretes": _marked(plan.discretes, plan),
         **causes,
         "steppers": [part.path for part in plan.steppers],
         "delays": [f"{history.name} ({history.delay!r} s)" for history in plan.histories],
@@ -97,37 +97,57 @@ def fit(plan: Plan) -> dict[str, Any]:
 
 def _crossings(plan: Plan) -> list[str]:
     """The crossings by their names; those of the condition that ends the run with its text."""
-    blocks = [plan.instances[cause.instance] for cause in plan.crossings]
-    names = [f"{block.path}.{cause.name}" for block, cause in zip(blocks, plan.crossings, strict=True)]
+    names = [f"{plan.instances[cause.instance].path}.{cause.name}" for cause in plan.crossings]
+    return _marked(names, plan)
+
+
+def _marked(names: Iterable[str], plan: Plan) -> list[str]:
+    """Return names of crossings or discretes; those of the condition that ends the run with its text.
+
+    No other block has the path of the condition.
+    """
     if plan.ends is None:
-        return names
-    own, text = (blocks[plan.ends].path, True), f"{ENDING}{plan.settings.stop_when}: "
-    return [text + n if (b.path, b.hidden) == own else n for b, n in zip(blocks, names, strict=True)]
+        return [*names]
+    own = f"{plan.instances[plan.crossings[plan.ends].instance].path}."
+    return [f"{ENDING}{plan.settings.stop_when}: {name}" if name.startswith(own) else name for name in names]
 
 
 def adapted(state: State, plan: Plan) -> State:
     """Return a state of a run that another condition ends, or none, for a run of a Plan.
 
-    Crossings of the Plan's condition are below at first; an instant at the beginning finds where they are.
+    The memory of the Plan's condition is that of signals at 0 at first: an instant at the beginning, to which its
+    crossings fire, finds what it is.
     """
-    theirs, ours, rows = state.plan.get("crossings"), _crossings(plan), dict(state.rows)
-    blank = {"s": 0.0, "located": -1.0, "fired": -math.inf}
-    if theirs == ours or not isinstance(theirs, list) or any(rows[name].shape != (len(theirs),) for name in blank):
+    ours, rows = {"crossings": _crossings(plan), "discretes": _marked(plan.discretes, plan)}, dict(state.rows)
+    sides = [float(cause.direction == "down") for cause in plan.crossings]
+    blanks: dict[str, dict[str, Any]] = {
+        "crossings": {"s": sides, "located": -1.0, "fired": -math.inf},
+        "discretes": {"d": 0.0},
+    }
+    changed: dict[str, list[str]] = {}
+    for what, blank in blanks.items():
+        theirs, own = state.plan.get(what), ours[what]
+        if theirs == own:
+            continue
+        if not isinstance(theirs, list) or any(rows[name].shape != (len(theirs),) for name in blank):
+            return state
+        old = [j for j, name in enumerate(theirs) if not str(name).startswith(ENDING)]
+        new = [j for j, name in enumerate(own) if not name.startswith(ENDING)]
+        if [theirs[j] for j in old] != [own[j] for j in new]:
+            return state
+        changed[what] = own
+        for name, value in blank.items():
+            row = np.full(len(own), value)
+            row[new] = rows[name][old]
+            rows[name] = row
+    if not changed:
         return state
-    old = [j for j, name in enumerate(theirs) if not str(name).startswith(ENDING)]
-    new = [j for j, name in enumerate(ours) if not name.startswith(ENDING)]
     p = np.array(plan.parameters)
     formula = () if plan.ends is None else plan.instances[plan.crossings[plan.ends].instance - 1].arguments
     first = min((index for row, index in formula if row == "p"), default=len(p))  # its constants are the last in p
-    if [theirs[j] for j in old] != [ours[j] for j in new]:
-        return state
-    for name, value in blank.items():
-        row = np.full(len(ours), value)
-        row[new] = rows[name][old]
-        rows[name] = row
     rows["parameters"] = np.concatenate([rows["parameters"][:first], p[first:]])
-    rows["crossed"] = rows["crossed"] if ours else np.empty(0)
-    return replace(state, plan={**state.plan, "crossings": ours}, rows=rows, is_adapted=True)
+    rows["crossed"] = rows["crossed"] if ours["crossings"] else np.empty(0)
+    return replace(state, plan={**state.plan, **changed}, rows=rows, is_adapted=True)
 
 
 def _fmus(plan: Plan) -> list[str]:
