@@ -26,6 +26,7 @@ from ..host.progress_line import in_rows, live_line
 from ..model.diagram_grammar import LARGEST_SEED
 from ..model.diagram_value import DiagramValue
 from ..model.resolver import resolver_of
+from ..model.unread import unread_faults
 from ..model.variants import taken
 from ..model.varied import Column, columns_of, given_values, is_element, raw_values
 from ..results.results import Results
@@ -97,7 +98,7 @@ class Batch(Shown):
 
     columns: their names. targets: of each column the parameters that it sets. units: of each column, that of its bare
     numbers. measures, signals: what comes out. lanes: in which rows run side by side; "": each by itself. warnings:
-    that they were asked for, and why they are not there.
+    columns that nothing reads, and why lanes that were asked for are not there.
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class Batch(Shown):
             raise UsageError(Fault("E501", "jumps", message, "Leave jumps out, or run the row alone."))
         if value.run.get("jumps"):
             settings["jumps"] = False
-        value = taken(value, case.variants)
+        value, whole = taken(value, case.variants), value
         kept = picked(value, case.measures)
         resolver = resolver_of(dict(types))
         of_all = case.parameters
@@ -154,7 +155,10 @@ class Batch(Shown):
         is_native = compiled_model(first.plan, engine=engine) is not None
         self._why = _why_processes(first.plan, is_native=is_native)
         self._lanes = Lanes.asked(lanes, first.plan, engine, self._why)
-        self.lanes, self.warnings = self._lanes.told, self._lanes.warnings
+        varied = dict(zip(self.columns, self.targets, strict=True))
+        whole = replace(whole, measures={**whole.measures, **kept.measures})
+        unread = unread_faults(whole, varied, parameters, settings)
+        self.lanes, self.warnings = self._lanes.told, (*unread, *self._lanes.warnings)
         numbers = len(first.plan.parameters) if isinstance(first.plan, Plan) else 0
         self._most = PIECE // (8 * max(1, numbers)) + 1  # rows that are bound at once
         self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last
