@@ -17,6 +17,7 @@ import pytest
 os.environ.setdefault("BLOCKS_ENGINE", "reference")
 os.environ.setdefault("BLOCKS_CACHE_DIR", str(Path(__file__).resolve().parents[1] / "build" / "test-cache"))
 pytest.register_assert_rewrite("tests.support")
+_IS_NATIVE = os.environ["BLOCKS_ENGINE"] == "native"
 
 # In the background of a shell Ctrl-C is ignored, and under nohup SIGHUP; so would all that tests start ignore them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -33,6 +34,15 @@ def folder_left_as_found() -> Iterator[None]:
     after = os.getcwd()
     os.chdir(before)
     assert after == before
+
+
+@pytest.fixture(autouse=True)
+def optimised(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let runs begin by optimised code, as long ones soon have it, where the native engine is tested, or at length."""
+    if _IS_NATIVE or request.node.get_closest_marker("long"):
+        from blocks.engines.native import model
+
+        monkeypatch.setattr(model, "QUICKLY", False)
 
 
 @pytest.fixture

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import ctypes
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -23,7 +25,7 @@ from ...compile.c.runtime_tables import RuntimeTables
 from ...compile.c.runtime_texts import RUNTIME, loop_units, packaged, stiff_units
 from ...compile.plan import Node, Plan, Reference
 from ...compile.tableaus import STIFF
-from ...compile.toolchain.compiler import TranslationUnit, build, load
+from ...compile.toolchain.compiler import TranslationUnit, build, build_quickly, end_builds, load
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
@@ -36,13 +38,19 @@ Entry = tuple[int, int | None, int, Any, int]
 """A part of a run's memory: its place and that of its count, in bytes from the start of the run; its size, kind and
 flags."""
 EXTRA_FLAGS: tuple[str, ...] = ()  # of the compiler, such as sanitizers in tests
+QUICKLY = True  # whether runs may begin by code without optimisation; benchmarks of steps say no
+PATIENCE = 0.05
+"""s; what has run so long without optimisation is worth a compiler's time."""
+MOST_AT_END = 3.0  # s that a process waits at its end for a compiler
 LARGE = 10_000
 """From so many operations on, the equations of one block may be why a compiler fails."""
 
 
-def model_of(plan: Plan, log: tuple[str, ...], method: str, *, lanes: Machine | None = None) -> Model:
+def model_of(
+    plan: Plan, log: tuple[str, ...], method: str, *, lanes: Machine | None = None, is_quick: bool = False
+) -> Model:
     """The model of a Plan, made once for plans that differ in values alone. lanes: of what machine its runs are made
-    side by side too. Raises CompilerError (E60x)."""
+    side by side too. is_quick: it may be one that `Model.hurry` makes faster. Raises CompilerError (E60x)."""
     windows = tuple((spec.type, spec.start, spec.stop, spec.omega) for spec in plan.measures)
     measured, logged = Measures(plan).references, [ref for name in log for ref in plan.signal(name).references]
     digest = plan_key(plan, measured, logged, method)
@@ -51,10 +59,13 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str, *, lanes: Machine | 
         model = _MODELS.pop(key, None)
     # Without the lock: compiling takes time, and a fork may come meanwhile.
     if model is None and lanes is None:
-        model = Model(plan, emitted(plan, digest, measured=measured, method=method, logged=logged), logged, method)
+        made = emitted(plan, digest, measured=measured, method=method, logged=logged)
+        model = Model(plan, made, logged, method, is_quick=is_quick)
     elif model is None:
         made = emit(plan, measured=measured, method=method, logged=logged, lanes=True)
         model = Model(plan, made, logged, method, lanes)
+    elif not is_quick:
+        model.optimise()
     with _LOCK:
         _MODELS[key] = model  # the last one used goes last
         while len(_MODELS) > MOST_MODELS:
@@ -64,10 +75,18 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str, *, lanes: Machine | 
 
 class Model(RuntimeTables):
     """The compiled model of a Plan. lanes: the machine whose lanes run several at once; None: there are none.
-    why_no_lanes: they were asked for, and would bring nothing."""
+    why_no_lanes: they were asked for, and would bring nothing. is_quick: it begins with code that is compiled in a
+    quarter of the time, and computes the same bits, unless the cache has the optimised one."""
 
     def __init__(
-        self, plan: Plan, made: Emitted, logged: list[Reference], method: str, lanes: Machine | None = None
+        self,
+        plan: Plan,
+        made: Emitted,
+        logged: list[Reference],
+        method: str,
+        lanes: Machine | None = None,
+        *,
+        is_quick: bool = False,
     ) -> None:
         super().__init__(plan, made, logged)
         headers = packaged(*RUNTIME)
@@ -97,11 +116,43 @@ class Model(RuntimeTables):
         self._of_settings: tuple[object, object, int] | None = None  # of the last run
         self.spare: list[Any] = []  # memory for rows that no run has now
         self.entries: dict[str, Entry] = {}  # of the memory of its runs; empty before the first of them
-        library = load(_built(plan, units))
-        self.library = _prepared(library, has_batch=not plan.foreign, has_lanes=self.lanes is not None)
-        self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
-        if made.filled:
-            ctypes.memmove(self.library["blocks_filled"], made.filled, len(made.filled))
+        self._plan, self._units, self._filled = plan, units, made.filled
+        self._slow_seconds = 0.0  # that code without optimisation has run
+        self._optimising: Optimising | None = None
+        with _largest_named(plan):
+            quick = build_quickly(units, extra_flags=EXTRA_FLAGS) if is_quick and QUICKLY else None
+            path, self.is_optimised = quick or (self._built(), True)
+        self._load(path)
+
+    def _built(self) -> Path:
+        return build(self._units, extra_flags=EXTRA_FLAGS)
+
+    def _load(self, path: Path) -> None:
+        """Take the code of a library. Runs under way go on by that of the old one, or by that of both."""
+        library = _prepared(load(path), has_batch=not self._plan.foreign, has_lanes=self.lanes is not None)
+        if self._filled:
+            ctypes.memmove(library["blocks_filled"], self._filled, len(self._filled))
+        self.library = library
+        self.address = ctypes.cast(library["blocks_model"], ctypes.c_void_p).value
+
+    def optimise(self) -> None:
+        """Take the optimised code now. Raises CompilerError (E60x)."""
+        if not self.is_optimised:
+            with _largest_named(self._plan):
+                path = self._built()
+            self._load(path)
+            self.is_optimised = True
+
+    def hurry(self, seconds: float) -> None:
+        """Take the optimised code if it is there; begin to make it, in a thread, once the code without optimisation has
+        run for a while. seconds: that it has run since this was asked last."""
+        self._slow_seconds += seconds
+        if self._optimising is None:
+            if self._slow_seconds >= PATIENCE:
+                self._optimising = Optimising(self._built)
+        elif (path := self._optimising.path) is not None and not self.is_optimised:
+            self._load(path)
+            self.is_optimised = True
 
     @cached_property
     def setup(self) -> object:
@@ -169,10 +220,36 @@ def _sides(plan: Plan) -> list[Node | Reference]:
     return [begins[k] for k in sorted(begins)]
 
 
-def _built(plan: Plan, units: Sequence[TranslationUnit]) -> Path:
-    """The library of a model. Where the compiler fails, the error also names the largest equations."""
+class Optimising:
+    """A thread that compiles. path: of the library, once it is there; a compiler that fails leaves the slower code."""
+
+    def __init__(self, built: Callable[[], Path]) -> None:
+        self.path: Path | None = None
+        self._thread = threading.Thread(target=self._compile, args=(built,), name="blocks-compiler", daemon=True)
+        self._thread.start()
+        atexit.register(self._wait)
+
+    def _compile(self, built: Callable[[], Path]) -> None:
+        try:
+            with contextlib.suppress(CompilerError):
+                self.path = built()
+        finally:
+            atexit.unregister(self._wait)
+
+    def _wait(self) -> None:
+        """Let the compiler finish before this process ends, so that the next one finds its code."""
+        with contextlib.suppress(KeyboardInterrupt):
+            self._thread.join(MOST_AT_END)
+        if self._thread.is_alive():
+            end_builds()
+            self._thread.join(1.0)
+
+
+@contextlib.contextmanager
+def _largest_named(plan: Plan) -> Iterator[None]:
+    """Where the compiler fails, the error also names the largest equations."""
     try:
-        return build(units, extra_flags=EXTRA_FLAGS)
+        yield
     except CompilerError as error:
         fault = error.faults[0]
         largest = max(plan.instances, key=lambda instance: len(instance.tape.nodes), default=None)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import math
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -72,7 +73,7 @@ class NativeEngine:
         model: Model | None = None,
     ) -> None:
         self.plan, self.settings, self.inputs = plan, plan.settings, inputs
-        self.model = model or model_of(plan, plan.log, plan.settings.method)
+        self.model = model or model_of(plan, plan.log, plan.settings.method, is_quick=True)
         self.tracks: list[Array] = []
         self._oracle: ReferenceEngine | None = None
         self._failure: BaseException | None = None
@@ -207,9 +208,12 @@ class NativeEngine:
             return True
         if self._foreign is not None:
             self._foreign.listen()
-        end = float(stop)
+        end, model, begun = float(stop), self.model, time.perf_counter()
+        self._handle.setup.model = model.address
         with self._hearing():
-            status = self._call(self.model.library.blocks_advance, self.address, end, 0, 2)
+            status = self._call(model.library.blocks_advance, self.address, end, 0, 2)
+        if not model.is_optimised:
+            model.hurry(time.perf_counter() - begun)
         if self.sim.exact == 2 and self.sim.t == end and not self.sim.outstanding:
             self._stop_exact = stop
         if status in (_DONE, _PAUSED) and self.over is not None:

@@ -11,7 +11,7 @@
 #include <string.h>
 
 /* Programs that run at instants: they are compiled quickly, as large diagrams have many of them. */
-#if defined(__GNUC__) && !defined(__clang__)
+#if defined(__OPTIMIZE__) && defined(__GNUC__) && !defined(__clang__)
 #define BLOCKS_COLD __attribute__((noinline, optimize("O1", "fp-contract=off", "no-math-errno", "no-trapping-math")))
 #else
 #define BLOCKS_COLD __attribute__((noinline))

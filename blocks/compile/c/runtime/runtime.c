@@ -2,7 +2,7 @@
    the reference engine is its twin in Python and says more about the why.
 
    A run is never left half changed: what fails or pauses leaves it at the last accepted step or before the instant. */
-#if defined(__GNUC__) && !defined(__clang__)
+#if defined(__OPTIMIZE__) && defined(__GNUC__) && !defined(__clang__)
 /* It is compiled with every first model, and is not where the time goes. */
 #pragma GCC optimize("O1", "fp-contract=off", "no-math-errno", "no-trapping-math")
 #define HOT __attribute__((optimize("O2", "fp-contract=off", "no-math-errno", "no-trapping-math")))
@@ -3013,10 +3013,16 @@ restore:
 
 /* --- the run ---------------------------------------------------------------------------------------------------- */
 
-void blocks_rows(BlocksSim *s)
+/* The model of the setup, which may be replaced in a run by one that computes the same bits faster. */
+static void take_model(BlocksSim *s)
 {
     s->model = s->setup->model;
     if (s->model->stiff && !isnan(s->stiff_from)) s->model = s->model->stiff;
+}
+
+void blocks_rows(BlocksSim *s)
+{
+    take_model(s);
     for (int r = 0; r < s->model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];
     s->model->prepare(&s->memory);
     s->model->refresh(&s->memory);
@@ -3250,6 +3256,7 @@ int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t exact)
 HOT int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
 {
     s->failure = BLOCKS_FINE;
+    take_model(s);
     look_at_clock(s);
     while (s->outstanding || (s->t < end && !blocks_has_ended(s))) {
         if (s->outstanding) {

@@ -615,6 +615,11 @@ static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, c
 }
 #endif
 
+/* Without optimisation all loops over states are slow, but those of the step are what a run is made of. Where a compiler has
+   much more to do with other things, or unrolls these loops, they are not worth its time. */
+#if !defined(__OPTIMIZE__) && !SMALL && BLOCKS_NX <= 64 && defined(__GNUC__) && !defined(__clang__)
+__attribute__((optimize("O1", "fp-contract=off", "no-math-errno", "no-trapping-math")))
+#endif
 static int run(BlocksSim *s, double target)
 {
     const BlocksSetup *setup = s->setup;

@@ -1,0 +1,190 @@
+"""A first run begins by code that is compiled without optimisation; it and the optimised code compute the same bits."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import Diagram
+from blocks.compile.toolchain import cache as caches
+from blocks.compile.toolchain.compiler import find_compiler, is_gcc
+from blocks.engines.native import model as models
+from blocks.library import FirstOrder, Sine
+from blocks.text.errors import CompilerError, Fault
+from tests.support.places import ROOT
+
+COMPILER = find_compiler()
+pytestmark = pytest.mark.skipif(COMPILER is None or not is_gcc(COMPILER), reason="gcc is not there")
+
+LOOP: dict[str, Any] = {
+    "format": "blocks-diagram",
+    "version": 3,
+    "name": "loop",
+    "blocks": {
+        "wave": {"type": "Sine", "parameters": {"omega": 2.0, "amplitude": 3.0}},
+        "error": {"type": "Sum", "parameters": {"signs": "+-"}},
+        "relay": {"type": "Relay", "parameters": {"on_at": 0.1, "off_at": -0.1, "on": 4.0, "off": -4.0}},
+        "late": {"type": "TransportDelay", "parameters": {"delay": 0.03}},
+        "lag": {"type": "FirstOrder", "parameters": {"T": 0.2}},
+        "bend": {"type": "Trigonometry", "parameters": {"function": "tanh"}},
+        "integral": {"type": "Integrator"},
+        "hold": {"type": "ZeroOrderHold", "parameters": {"period": 0.05}},
+    },
+    "wires": {
+        "error.u1": "wave.y", "error.u2": "integral.y", "relay.u": "error.y", "late.u": "relay.y", "lag.u": "late.y",
+        "bend.u": "lag.y", "integral.u": "bend.y", "hold.u": "integral.y",
+    },
+    "measures": {"square": {"type": "ISE", "of": "error.y"}},
+    "run": {"stop": 3.0, "every": 0.01, "log": ["*"]},
+}  # fmt: skip
+"""It has all that a step is judged by: events, a delay, ticks, functions of libm, a measure."""
+METHODS = {"euler": 1e-3, "rk4": 2e-3, "dopri5": None, "radau": None, "auto": None}
+
+
+@pytest.fixture
+def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache without code, and nothing remembered from before."""
+    monkeypatch.setenv(caches.VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setattr(models, "_MODELS", {})
+    monkeypatch.setattr(models, "QUICKLY", True)
+    return tmp_path / "cache"
+
+
+def bits(results: Any) -> list[Any]:
+    columns = [results.t, *(results[name] for name in results.names)]
+    return [*(np.asarray(column).tobytes() for column in columns), results.measures, [*results.events]]
+
+
+def only_model() -> models.Model:
+    (model,) = models._MODELS.values()
+    return model
+
+
+def one_run(diagram: Diagram, monkeypatch: pytest.MonkeyPatch, *, quickly: bool, **words: Any) -> list[Any]:
+    monkeypatch.setattr(models, "QUICKLY", quickly)
+    models._MODELS.clear()
+    results = diagram.run(engine="native", **words)
+    assert only_model().is_optimised is not quickly
+    return bits(results)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_both_codes_compute_the_same_bits(method: str, fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(models, "PATIENCE", 1e9)
+    words = {"method": method, "step": METHODS[method]}
+    quick = one_run(Diagram.from_json(LOOP), monkeypatch, quickly=True, **words)
+    assert quick == one_run(Diagram.from_json(LOOP), monkeypatch, quickly=False, **words)
+
+
+@pytest.mark.parametrize("name", ["adrc.json", "iadrc.json", "control_iadrc_sampled.json"])
+def test_the_robot_of_the_paper_has_the_same_bits(name: str, fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(models, "PATIENCE", 1e9)
+    diagram = Diagram.load(ROOT / "diagrams" / "paper" / name)
+    names = diagram.check().inputs
+    words: dict[str, Any] = {"stop": 10.0, "inputs": {name: 0.3 for name, *_ in names}}
+    quick = one_run(diagram, monkeypatch, quickly=True, **words)
+    assert quick == one_run(Diagram.load(ROOT / "diagrams" / "paper" / name), monkeypatch, quickly=False, **words)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_optimised_code_takes_over_in_the_midst_of_a_run(
+    method: str, fresh: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(models, "PATIENCE", 0.0)
+    words = {"method": method, "step": METHODS[method]}
+    run = Diagram.from_json(LOOP).start(engine="native", **words)
+    run.advance_to(0.7)
+    model = only_model()
+    assert not model.is_optimised
+    assert model._optimising is not None
+    model._optimising._thread.join()
+    first = model.address
+    run.advance_to(1.1)
+    assert model.is_optimised
+    assert model.address != first
+    run.advance_to(3.0)
+    assert bits(run.finish()) == one_run(Diagram.from_json(LOOP), monkeypatch, quickly=False, **words)
+
+
+def test_a_run_that_is_found_to_be_stiff_goes_on_as_such(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(models, "PATIENCE", 0.0)
+    diagram = Diagram("stiff")
+    slow = diagram.add("slow", FirstOrder(T=1e-4))
+    wave = diagram.add("wave", Sine(omega=3.0))
+    diagram.wire(slow.u, wave.y)
+    diagram.settings(stop=4.0, method="auto", log=["*"])
+
+    def parts() -> Any:
+        run = diagram.start(engine="native")
+        run.advance_to(1.0)
+        model = only_model()
+        if not model.is_optimised:
+            assert model._optimising is not None
+            model._optimising._thread.join()
+        run.advance_to(4.0)
+        assert model.is_optimised
+        return run.finish()
+
+    results = parts()
+    assert results.statistics.method.startswith("auto: radau from")
+    models._MODELS.clear()
+    monkeypatch.setattr(models, "QUICKLY", False)
+    assert bits(results) == bits(parts())
+
+
+def test_rows_of_a_batch_and_prepared_models_run_by_optimised_code(fresh: Path) -> None:
+    diagram = Diagram.from_json(LOOP)
+    diagram.run(engine="native", stop=0.1)
+    model = only_model()
+    assert not model.is_optimised
+    diagram.prepare(engine="native").run(stop=0.1)
+    assert model.is_optimised
+
+
+def test_a_compiler_that_fails_later_leaves_the_run_as_it_is(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> Path:
+        raise CompilerError(Fault("E602", "", "no.", "None."))
+
+    expected = one_run(Diagram.from_json(LOOP), monkeypatch, quickly=False)
+    monkeypatch.setenv(caches.VARIABLE, str(fresh / "other"))
+    monkeypatch.setattr(models, "PATIENCE", 0.0)
+    monkeypatch.setattr(models, "build", fails)
+    monkeypatch.setattr(models, "QUICKLY", True)
+    models._MODELS.clear()
+    run = Diagram.from_json(LOOP).start(engine="native")
+    for stop in (0.5, 1.0, 3.0):
+        run.advance_to(stop)
+    assert not only_model().is_optimised
+    assert bits(run.finish()) == expected
+
+
+def test_a_process_that_ends_leaves_the_optimised_code(fresh: Path, tmp_path: Path) -> None:
+    file = tmp_path / "loop.json"
+    Diagram.from_json(LOOP).save(file)
+    program = "import sys, blocks.engines.native.model as m; m.PATIENCE, m.MOST_AT_END = 0.0, 60.0\n"
+    program += "from blocks import Diagram; Diagram.load(sys.argv[1]).run(engine='native')"
+    subprocess.run([sys.executable, "-c", program, str(file)], check=True, cwd=ROOT)
+    assert not [path.name for path in fresh.iterdir() if path.name.startswith(("tmp-", "failed-"))]
+    Diagram.load(file).run(engine="native")
+    assert only_model().is_optimised
+
+
+def test_a_process_does_not_wait_long_for_a_compiler(fresh: Path, tmp_path: Path) -> None:
+    file, log = tmp_path / "loop.json", tmp_path / "log"
+    Diagram.from_json(LOOP).save(file)
+    slow = tmp_path / "gcc"
+    asks = 'case "$*" in *--version*) ;; *-O2*) echo $$ >> ' + str(log) + "; sleep 60;; esac"
+    slow.write_text(f'#!/bin/sh\n{asks}\nexec cc "$@"\n', encoding="utf-8")
+    slow.chmod(0o755)
+    program = "import os, sys, blocks.engines.native.model as m; m.PATIENCE, m.MOST_AT_END = 0.0, 0.2\n"
+    program += f"os.environ['CC'] = {str(slow)!r}\n"
+    program += "from blocks import Diagram; Diagram.load(sys.argv[1]).run(engine='native')"
+    subprocess.run([sys.executable, "-c", program, str(file)], check=True, cwd=ROOT, timeout=30)
+    assert log.read_text(encoding="utf-8").split()
+    for number in log.read_text(encoding="utf-8").split():
+        assert not Path("/proc", number).exists()
