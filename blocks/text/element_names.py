@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Iterable
-
-import numpy as np
+from itertools import product
 
 _NAME = re.compile(r"(.*)\[([A-Za-z_][A-Za-z0-9_]*)\]\Z", re.DOTALL)
 _INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
@@ -13,7 +12,7 @@ _INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
 
 def element_names(name: str, shape: tuple[int, ...]) -> list[str]:
     """The names of all elements of a signal in C order: u[0], u[1] of a vector, M[0,1] of a matrix."""
-    return [f"{name}[{','.join(map(str, i))}]" for i in np.ndindex(shape)] if shape else [name]
+    return [f"{name}[{','.join(map(str, i))}]" for i in product(*map(range, shape))] if shape else [name]
 
 
 def indexed(text: str) -> tuple[str, int | None]:
