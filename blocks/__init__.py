@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from .library import NAMES
 from .text.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -67,26 +68,7 @@ _PLACES = {
     "wiring": "contract.equations",
 }
 
-# The names of the library, written out so that they are known without loading it.
-_LIBRARY = (
-    "INLSEF", "INTD", "LESO", "LSEF", "NESO", "NLSEF", "PID", "PRBS", "SMESO", "Abs", "Atan2", "Backlash", "Biquad",
-    "BouncingBall", "BuckConverter", "Chirp", "Clarke", "Compare", "CompareToConstant", "Constant",
-    "CoulombFriction", "Counter", "DeadZone", "Delay", "Demux", "Derivative", "DiscreteESO", "DiscreteINLSEF",
-    "DiscreteINTD", "DiscreteIntegrator", "DiscretePID", "DiscreteSMESO", "DiscreteStateObserver",
-    "DiscreteStateSpace", "DiscreteTransferFunction", "Disturbance", "Divide", "DotProduct", "EdgeDetect", "Encoder",
-    "Exp", "Expression", "FIRFilter", "FirstOrder", "FirstOrderHold", "Gain", "Integrator", "InverseClarke",
-    "InversePark", "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log", "Logic", "LookupTable",
-    "LookupTable2D", "Lorenz", "LuGreFriction", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax",
-    "MovingAverage", "MultiportSwitch", "Multisine", "Mux", "Noise", "Norm", "PMDCMotor", "Park", "Polynomial",
-    "Power", "Product", "Pulse", "Quadrotor", "Quantizer", "QuarterCar", "Ramp", "RateLimiter", "RateTransition",
-    "Reduction", "Relay", "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign",
-    "Sine", "Sqrt", "SquareWave", "StateObserver", "StateSpace", "Step", "Sum", "Switch", "SwitchAbove",
-    "SwitchedMatrixGain", "Table", "Tank", "Timer", "TrackingDifferentiator", "TransferFunction",
-    "TransportDelay", "Trapezoid", "Trigonometry", "TwoLinkArm", "UnitDelay", "Unwrap", "VanDerPol",
-    "WheelMixing", "Wrap", "ZeroOrderHold", "ZeroPoleGain",
-)  # fmt: skip
-
-__all__ = sorted([*_PLACES, *_LIBRARY])
+__all__ = sorted([*_PLACES, *NAMES])
 
 
 def __getattr__(name: str) -> Any:
@@ -94,7 +76,7 @@ def __getattr__(name: str) -> Any:
 
     if name in _PLACES:
         return getattr(import_module(f"blocks.{_PLACES[name]}"), name)
-    if name in _LIBRARY:
+    if name in NAMES:
         return getattr(import_module("blocks.library"), name)
     raise AttributeError(f"module 'blocks' has no attribute {name!r}")
 

@@ -21,6 +21,7 @@ import enum
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -737,7 +738,7 @@ class Diagram:
         if at is not None and not isinstance(at, (int, float)):  # which has the rest already
             case = case_of(case, {}).only("trust")
         case = case_of(case, words, PointWords)
-        return point_of(self.value, resolver_of(dict(self._draft.types)), at, case, self._last)
+        return point_of(self.value, resolver_of(copy(self._draft.types)), at, case, self._last)
 
     def draw(self, *, depth: int = 1, variants: Mapping[str, str] | None = None) -> str:
         """The diagram as the text of an SVG, the same each time; its faults, if it has any, are marked on the blocks.
@@ -839,5 +840,5 @@ def run_of(diagram: Diagram, case: Case, options: RunOptions, flat: Flat | None 
     """Return a run of a diagram. flat: its flat model with this case, if it is known."""
     from .run import started
 
-    resolver = resolver_of(dict(diagram._draft.types))  # what is added to the diagram afterwards does not reach the run
+    resolver = resolver_of(copy(diagram._draft.types))  # what is added to the diagram afterwards does not reach the run
     return started(case.of(diagram.value), resolver, case, options, flat)

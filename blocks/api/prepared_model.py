@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from copy import copy
 from typing import TYPE_CHECKING, Any, Unpack
 
 from ..engines.prepared import Prepared
@@ -43,7 +44,7 @@ class PreparedModel:
     """
 
     def __init__(self, value: DiagramValue, types: Mapping[str, type[Block]], case: Case) -> None:
-        self._value, self._types = case.of(value), dict(types)
+        self._value, self._types = case.of(value), copy(types)
         self._resolver = resolver_of(self._types)
         self._base = case.without("variants", "measures")
         if any(map(is_element, case.parameters)):  # what a run gives goes on top of them

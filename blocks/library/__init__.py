@@ -1,28 +1,76 @@
-"""The block library: every concrete block, by its name."""
+"""The block library: every concrete block, by its name. A module is loaded when a block of it is first used."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..contract.block import Block, is_abstract
+if TYPE_CHECKING:
+    from ..contract.block import Block
 
-_MODULES = (
-    "adrc", "angles", "arithmetic", "continuous", "discrete", "drives", "excitation", "expression", "filters", "flight",
-    "friction", "functions", "logic", "mechanics", "memory", "noise", "nonlinear", "observers", "oscillators", "pid",
-    "power", "process", "robot", "sampled", "sources", "tables", "vectors", "wiring",
-)  # fmt: skip
+_BY_MODULE = {
+    "adrc": (
+        "DiscreteESO DiscreteINLSEF DiscreteINTD DiscreteSMESO INLSEF INTD LESO LSEF NESO NLSEF SMESO "
+        "TrackingDifferentiator"
+    ),
+    "angles": "Encoder Unwrap Wrap",
+    "arithmetic": "DotProduct Gain MatrixGain Norm Product Sum",
+    "continuous": (
+        "Derivative FirstOrder Integrator LeadLag LimitedIntegrator ResettableIntegrator SecondOrder StateSpace "
+        "TransferFunction ZeroPoleGain"
+    ),
+    "discrete": "DiscreteIntegrator DiscreteStateSpace DiscreteTransferFunction",
+    "drives": "Clarke InverseClarke InversePark Park",
+    "excitation": "Multisine PRBS",
+    "expression": "Expression",
+    "filters": "Biquad FIRFilter MovingAverage",
+    "flight": "Quadrotor",
+    "friction": "CoulombFriction LuGreFriction",
+    "functions": "Abs Atan2 Divide Exp Log MinMax Polynomial Power Sign Sqrt Trigonometry",
+    "logic": "Compare CompareToConstant Counter EdgeDetect Logic MultiportSwitch Switch SwitchAbove Timer",
+    "mechanics": "BouncingBall InvertedPendulum MassSpringDamper QuarterCar TwoLinkArm",
+    "memory": "Backlash RateLimiter TransportDelay",
+    "noise": "Noise",
+    "nonlinear": "DeadZone Quantizer Relay Saturation",
+    "observers": "DiscreteStateObserver StateObserver",
+    "oscillators": "Lorenz VanDerPol",
+    "pid": "DiscretePID PID",
+    "power": "BuckConverter",
+    "process": "Tank",
+    "robot": "Disturbance Kinematics MatchedDisturbance PMDCMotor WheelMixing",
+    "sampled": "Delay FirstOrderHold RateTransition UnitDelay ZeroOrderHold",
+    "sources": "Chirp Constant Pulse Ramp Sawtooth Sine SquareWave Step Trapezoid",
+    "tables": "LookupTable LookupTable2D Table",
+    "vectors": "Reduction SwitchedMatrixGain",
+    "wiring": "Demux Mux Selector",
+}
+_MODULES = {name: module for module, names in _BY_MODULE.items() for name in names.split()}
 
 
-def _classes(name: str) -> dict[str, Any]:
-    module = import_module(f"{__name__}.{name}")
-    return {each: getattr(module, each) for each in module.__all__}
+class _Library(Mapping[str, "type[Block]"]):
+    """Block classes by the names that diagrams use: abbreviations, then words."""
+
+    def __getitem__(self, name: str) -> type[Block]:
+        found: type[Block] = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return name in _MODULES
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(NAMES)
+
+    def __len__(self) -> int:
+        return len(NAMES)
+
+    def __reduce__(self) -> str:
+        return "LIBRARY"
 
 
-_PUBLIC = {name: cls for module in _MODULES for name, cls in _classes(module).items() if not is_abstract(cls)}
-
-LIBRARY: dict[str, type[Block]] = dict(sorted(_PUBLIC.items(), key=lambda item: (not item[0].isupper(), item[0])))
-"""Block classes by the names that diagrams use: abbreviations, then words."""
-
-__all__ = ["LIBRARY", *LIBRARY]
+NAMES = tuple(sorted(_MODULES, key=lambda name: (not name.isupper(), name)))
+LIBRARY = _Library()
+__all__ = ["LIBRARY", *NAMES]
 
 
 def __getattr__(name: str) -> Any:

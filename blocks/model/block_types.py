@@ -6,11 +6,12 @@ import inspect
 import os
 import sys
 import traceback
-from collections.abc import Iterable
+from collections import ChainMap
+from collections.abc import Iterable, Mapping, MutableMapping
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 from ..contract.block import Block, is_abstract
 from ..text.errors import BlocksError, Fault, UsageError
@@ -22,14 +23,14 @@ GROUP = "blocks.library"
 Library = Iterable[type[Block] | ModuleType | str] | type[Block] | ModuleType | str
 
 
-def library_types(library: Library = ()) -> dict[str, type[Block]]:
+def library_types(library: Library = ()) -> Mapping[str, type[Block]]:
     """Block types by name: those that ship, those of installed packages (entry points `blocks.library`), and `library`.
 
     library: block classes, modules that hold some, or names of modules, which are imported. Raises UsageError (E501).
     """
     from ..library import LIBRARY
 
-    types = dict(LIBRARY)
+    types: ChainMap[str, type[Block]] = ChainMap({}, cast("MutableMapping[str, type[Block]]", LIBRARY))
     for entry in _entry_points():
         types.update(_types_of(entry.load()))
     given: Any = library

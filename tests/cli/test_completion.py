@@ -82,7 +82,7 @@ def test_what_a_file_names_is_not_imported_and_nothing_heavy_is_loaded(folder: P
     program = (
         "import sys; from blocks.cli import main\n"
         "main(['completion', 'words', '--', 'run', 'drive.json', '--set', 'mo'])\n"
-        "print(sorted({'numpy', 'blocks.library', 'blocks.api.diagram', 'OwnBlock'} & {*sys.modules}))"
+        "print(sorted({'numpy', 'blocks.contract.block', 'blocks.api.diagram', 'OwnBlock'} & {*sys.modules}))"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=True)

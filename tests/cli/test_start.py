@@ -33,7 +33,7 @@ def loaded(*arguments: str, status: int = 0) -> set[str]:
 def test_a_word_that_is_no_command_or_option_is_refused_before_numpy(arguments: tuple[str, ...]) -> None:
     modules = loaded(*arguments, status=2)
     assert "numpy" not in modules
-    assert not {name for name in modules if name.startswith(("blocks.model", "blocks.api", "blocks.library"))}
+    assert not {name for name in modules if name.startswith(("blocks.model", "blocks.api", "blocks.library."))}
     assert arguments[0] != "nonsense" or "blocks.cli.run" not in modules
 
 
@@ -83,3 +83,9 @@ def test_fmus_for_co_simulation_alone_need_no_other_engine() -> None:
     assert "blocks.engines.master.native_master" in own
     engines = {"blocks.engines.native.native_engine", "blocks.engines.reference.reference_engine"}
     assert not own & {*engines, "blocks.compile.c.model_code"}
+
+
+def test_a_run_loads_the_modules_of_its_own_blocks_alone() -> None:
+    modules = loaded("check", "diagrams/paper/iadrc.json")
+    assert "blocks.library.adrc" in modules
+    assert not {"blocks.library.flight", "blocks.library.tables", "blocks.library.power"} & modules

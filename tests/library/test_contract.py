@@ -142,7 +142,7 @@ def test_the_library_holds_every_block_class_of_its_modules() -> None:
         for name, value in vars(import_module(f"blocks.library.{module.name}")).items():
             if isinstance(value, type) and issubclass(value, Block) and value is not Block and not is_abstract(value):
                 found[name] = value
-    assert found == LIBRARY
+    assert found == dict(LIBRARY)
     assert sorted(LIBRARY) == sorted(set(blocks.library.__all__) - {"LIBRARY"})
 
 
