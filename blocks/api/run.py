@@ -39,7 +39,7 @@ from ..results.arrow import Part, target_of
 from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
-from ..text.element_names import indexed
+from ..text.element_names import indexed, whole_of
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean, sentence_of
 from ..text.json_number import is_number
 from ..text.printable import legible, quoted
@@ -315,7 +315,8 @@ class Run:
         blocks = {block.path: block for block in self._prepared.structure.blocks}
         texts = {}
         for path, raw in self._prepared.parameters.items():
-            owner, _, name = path.rpartition(".")
+            owner = whole_of(path, blocks)
+            name = path[len(owner) + 1 :]
             before, unit = quantity_of(self._prepared.value.parameters.get(path))
             size = np.size(before) if isinstance(before, list) else 1
             if owner in blocks and name in blocks[owner].interface.declaration.parameters:

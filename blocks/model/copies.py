@@ -21,7 +21,6 @@ from functools import cached_property
 from itertools import product
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from ..text.element_names import matching
 from ..text.errors import Fault, ModelError
 from ..text.printable import counted
 from ..text.quantity_text import quantity_of
@@ -253,21 +252,40 @@ def unnumbered(path: str, copies: Sequence[Copy | None]) -> list[Copy]:
 def named(pattern: str, known: Collection[str], fleets: Collection[str]) -> list[str]:
     """Return the parameters that a name or a pattern names: "*[3].motor.R*" -> ["cells[3].motor.Ra"].
 
-    * stands for a part of one name, and [*] for all copies, as does no number. known: without numbers. fleets: the
-    paths of blocks with copies.
+    * stands for a part of one name, and [*] for all copies, as does no number. known: without numbers; other brackets
+    belong to the names of an FMU's parameters ("den[1]"). fleets: the paths of blocks with copies.
     """
     labels = [part.partition("[") for part in pattern.split(".")]
-    plain = ".".join(label[0] for label in labels)
+    numbers = ["".join(label[1:]) for label in labels]
+    plain = without_copies(pattern, fleets)
+    # A number may belong to the name itself; it is tried first, as the pattern before it takes as little as it can.
+    form = re.compile(r"\.".join(f"{_form(stem)}({_form(bracket + rest)})?" for stem, bracket, rest in labels))
     made = []
-    for path in matching(plain, known) if "*" in plain else [plain] if plain in known else []:
+    for path in known if "*" in plain else [plain] if plain in known else []:
+        match = form.fullmatch(path)
+        if match is None:
+            continue
         names = path.split(".")
-        numbers = ["".join(label[1:]) for label in labels]
+        added = ["" if own else number for own, number in zip(match.groups(), numbers, strict=True)]
         if all(
             not number or (_NUMBER.fullmatch(number) and ".".join(names[: k + 1]) in fleets)
-            for k, number in enumerate(numbers)
+            for k, number in enumerate(added)
         ):
-            made.append(".".join(name + number.replace("[*]", "") for name, number in zip(names, numbers, strict=True)))
+            made.append(".".join(name + number.replace("[*]", "") for name, number in zip(names, added, strict=True)))
     return made
+
+
+def _form(pattern: str) -> str:
+    return "[^.]*?".join(map(re.escape, pattern.split("*")))
+
+
+def without_copies(path: str, fleets: Collection[str]) -> str:
+    """Return the path of a parameter without the numbers of copies; brackets of its own name stay."""
+    plain = ""
+    for part in path.split("."):
+        stem = part.partition("[")[0]
+        plain += f"{stem if plain + stem in fleets else part}."
+    return plain[:-1]
 
 
 def depth_of(raw: object) -> int:

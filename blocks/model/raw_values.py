@@ -73,7 +73,7 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
         given = {path: given[name] for path, name in (by | own).items()}
     given = {path: _no_limit(raw) for path, raw in given.items()}
     texts = [path for path, raw in given.items() if isinstance(raw, (str, list, tuple)) and _quantities(raw) != raw]
-    return {**given, **{path: _given_at(diagram, resolver, str(path).split("."), given[path]) for path in texts}}
+    return {**given, **{path: _given_at(diagram, resolver, str(path), given[path]) for path in texts}}
 
 
 def _no_limit(raw: Any) -> object:
@@ -90,19 +90,30 @@ def _quantities(raw: Any) -> object:
     return type(raw)(map(_quantities, raw)) if type(raw) in (list, tuple) else read_quantity(raw)
 
 
-def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: object) -> Any:
+def _given_at(diagram: DiagramValue, resolver: Resolver, path: str, raw: object) -> Any:
     """A number with a unit that is given to a parameter: a quantity, unless the parameter is a text, or not there."""
-    name, *inner = path
-    if not inner:
-        known = quantity_of(diagram.parameters.get(name)).value
-        return raw if known is None or (isinstance(known, str) and known[:1] != "=") else _quantities(raw)
-    entry = diagram.blocks.get(name.partition("[")[0])
+    inner, cls, name = _opened(diagram, resolver, path)
+    if cls is not None:
+        return given_value(raw, cls.declaration.parameters.get(name))
+    known = quantity_of(inner.parameters.get(name)).value
+    return raw if known is None or (isinstance(known, str) and known[:1] != "=") else _quantities(raw)
+
+
+def is_of_block(diagram: DiagramValue, resolver: Resolver, path: str) -> bool:
+    """Return whether a path, with or without the numbers of copies, is that of a parameter of a block."""
+    _, cls, name = _opened(diagram, resolver, path)
+    return cls is not None and name in cls.declaration.settable
+
+
+def _opened(diagram: DiagramValue, resolver: Resolver, path: str) -> tuple[DiagramValue, type[Block] | None, str]:
+    """Return the diagram, the class of the block in it, and the rest of a path; None if the path leads to no block."""
+    name, dot, rest = path.partition(".")
+    entry = diagram.blocks.get(name.partition("[")[0]) if dot else None
     if entry is None:
-        return raw
+        return diagram, None, path
     if entry.inner is not None:
-        return _given_at(entry.inner, resolver, inner, raw)
-    cls = _class_of(entry, diagram, resolver)
-    return raw if cls is None else given_value(raw, cls.declaration.parameters.get(inner[0]))
+        return _opened(entry.inner, resolver, rest)
+    return diagram, _class_of(entry, diagram, resolver), rest
 
 
 def _class_of(entry: BlockEntry, diagram: DiagramValue, resolver: Resolver) -> type[Block] | None:

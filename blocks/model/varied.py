@@ -3,6 +3,7 @@
 "motor.Ra"              a parameter
 "control_*.eso.Ka"      one value for all parameters that the pattern names; * stands for a part of one name
 "control.nlsef.k1[0]"   an element of a vector; M[0,1] of a matrix
+"plant.den[1]"          a parameter of an FMU, if it has one of this name
 "cells[3].motor.Ra"     in one copy; "cells[*].motor.Ra" and "cells.motor.Ra" in all
 """
 
@@ -25,7 +26,7 @@ from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from ..text.units import from_si, si_text, to_si
 from . import raw_values as whole_values
-from .copies import named
+from .copies import named, without_copies
 from .diagram_value import DiagramValue
 from .flatten import Flat, flatten
 from .hierarchy import DiagramScope, Leaf, Resolver, bound_faults
@@ -121,7 +122,14 @@ class _Parameters:
         return [one for one in found if all(number is None or number < n for n, number in self.numbers(one))]
 
     def of(self, path: str) -> _Known:
-        return self.known[_plain(path)]
+        return self.known[without_copies(path, self.copies)]
+
+    def split(self, name: str) -> tuple[str, str]:
+        """Split a name into the name without its element, and the element: "" or "[0]"."""
+        if not is_element(name) or self.named(name):
+            return name, ""
+        path, bracket, rest = name.rpartition("[")
+        return path, bracket + rest
 
     def each(self, path: str) -> Iterator[str]:
         """Yield the parameter in each copy that a path means."""
@@ -142,18 +150,21 @@ def given_values(
     An element ("t.values[2]") changes the value that the diagram has, with the other values that are given and with
     those of `around`, which were given before. Raises ModelError, UsageError.
     """
-    elements = [name for name in given if is_element(name)]
-    if not elements:
+    if not any(map(is_element, given)):
         return whole_values.given_values(value, resolver, given)
     value = taken(value)
+    elements = [n for n in given if is_element(n) and not whole_values.is_of_block(value, resolver, n)]
+    if not elements:
+        return whole_values.given_values(value, resolver, given)
     wholes = whole_values.given_values(value, resolver, {n: raw for n, raw in given.items() if n not in elements})
     overrides = {path: raw_of(raw) for path, raw in {**(around or {}), **wholes}.items()}
     columns = columns_of(elements, flatten(value, resolver, overrides=overrides))
-    return {**wholes, **raw_values(columns, [given[name] for name in elements])}
+    written = raw_values(columns, [given[name] for name in elements])
+    return {**wholes, **whole_values.given_values(value, resolver, written)}
 
 
 def is_element(name: object) -> bool:
-    """Return whether a name of parameters is that of an element."""
+    """Return whether a name of parameters may be that of an element; a parameter of an FMU may have such a name too."""
     return isinstance(name, str) and name.endswith("]")
 
 
@@ -172,8 +183,7 @@ def columns_of(names: Sequence[str], flat: Flat) -> tuple[Column, ...]:
         if not isinstance(name, str):
             message, cure = "is not the name of a parameter.", 'Write a path such as "motor.Ra".'
             raise UsageError(Fault("E501", legible(str(name)), message, cure))
-        path, element = _split(name)
-        found = _found(name, parameters)
+        found, element = _found(name, parameters)
         # Of a copy an element is set together with the others, which each copy may have of its own.
         found = [one for of_all in found for one in parameters.each(of_all)] if element else found
         targets = tuple(_target(path, name, element, parameters) for path in found)
@@ -196,24 +206,28 @@ def columns_of(names: Sequence[str], flat: Flat) -> tuple[Column, ...]:
 def each_of(name: str, flat: Flat) -> list[str]:
     """All that a name or a pattern names, each copy by itself. Raises UsageError (E106) where there is nothing."""
     parameters = _Parameters(flat)
-    element = _split(name)[1]
-    return [one + element for path in _found(name, parameters) for one in parameters.each(path)]
+    found, element = _found(name, parameters)
+    return [one + element for path in found for one in parameters.each(path)]
 
 
-def _found(name: str, parameters: _Parameters) -> list[str]:
-    """Find the parameters that a name or a pattern matches, without elements. Raises UsageError (E106) if none does."""
-    path, _ = _split(name)
+def _found(name: str, parameters: _Parameters) -> tuple[list[str], str]:
+    """Find the parameters that a name or a pattern matches, and the element of them: "" or "[0]".
+
+    Raises UsageError (E106) if none does.
+    """
+    path, element = parameters.split(name)
     found = parameters.named(path)
     if not found:
         known, last = parameters.known, path.rpartition(".")[2]
         what = "matches no parameter" if "*" in path else "there is no such parameter"
         alike = [each for each in known if each.rpartition(".")[2] == last]
         cure = did_you_mean(path[:200], known) or (f"Did you mean {', '.join(alike[:3])}?" if alike else "")
-        if _plain(path) in known:
-            around = (one for one in parameters.copies.items() if _plain(path).startswith(f"{one[0]}."))
+        plain = without_copies(path, parameters.copies)
+        if plain in known:
+            around = (one for one in parameters.copies.items() if plain.startswith(f"{one[0]}."))
             cure = " ".join(f"{fleet} has the copies 0 to {count - 1}." for fleet, count in around) or cure
         raise UsageError(Fault("E106", legible(name), f"{what}.", cure))
-    return found
+    return found, element
 
 
 def raw_values(columns: Sequence[Column], row: Sequence[object]) -> dict[str, Any]:
@@ -259,17 +273,6 @@ def _number(raw: object, unit: str, name: str) -> float:
         message = f"must be a number, not {legible(repr(raw))}."
         raise ModelError(Fault("E107", legible(name), message, "To use an expression, give the whole value."))
     return float(number)
-
-
-def _split(name: str) -> tuple[str, str]:
-    """Split a name into the name without its element, and the element: "" or "[0]"."""
-    path, bracket, rest = name.rpartition("[") if name.endswith("]") else (name, "", "")
-    return path, bracket + rest
-
-
-def _plain(path: str) -> str:
-    """Return a path without the numbers of copies."""
-    return ".".join(part.partition("[")[0] for part in path.split("."))
 
 
 def _target(path: str, name: str, element: str, parameters: _Parameters) -> Target:

@@ -121,7 +121,7 @@ def _choice(path: str, entry: Mapping[str, object], variants: Mapping[str, str])
 
 def _place(workspace: Workspace, first: str, target: str, variants: Mapping[str, str]) -> tuple[str, Steps, object]:
     """The file that holds a parameter, by its path; the steps to it there; and its entry, None where none is."""
-    *blocks, name = target.split(".")
+    blocks, name = _owner(workspace, first, target.split("."), variants)
     if not blocks:
         place: Steps = ("parameters", name)
         return first, place, tree.table_at(workspace.value(first), ("parameters",)).get(name)
@@ -135,6 +135,16 @@ def _place(workspace: Workspace, first: str, target: str, variants: Mapping[str,
     owner = ("variants", variant) if variant != BASE else ()
     place = (*spot.scope, "blocks", blocks[-1], *owner, "parameters")
     return spot.file, (*place, name), tree.table_at(spot.value, place).get(name)
+
+
+def _owner(workspace: Workspace, first: str, parts: list[str], variants: Mapping[str, str]) -> tuple[list[str], str]:
+    """The blocks around a parameter, and its name, which may have dots and brackets if the block is an FMU."""
+    for k, name in enumerate(parts[:-1]):
+        entry = _spot(workspace, first, parts[:k], variants).body.names("block").get(name, {})
+        choice = _choice(".".join(parts[: k + 1]), entry, variants)
+        if "fmu" in (entry if choice == BASE else tree.table_at(entry, ("variants", choice))):
+            return parts[: k + 1], ".".join(parts[k + 1 :])
+    return parts[:-1], parts[-1]
 
 
 def _input_place(value: object, name: str) -> tuple[Steps, object]:

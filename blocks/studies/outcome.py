@@ -53,7 +53,7 @@ class Outcome(Shown):
         values = [
             Value(
                 target,
-                tuple(int(k) for k in re.findall(r"\d+", column.partition("[")[2])),
+                _element(column, target),
                 self.values[column],
                 self.units[column],
                 self.parameters[target],
@@ -95,6 +95,13 @@ class Outcome(Shown):
     def plot(self) -> Any:
         """Return a matplotlib figure."""
         raise NotImplementedError
+
+
+def _element(column: str, target: str) -> tuple[int, ...]:
+    """Return the indices of the element of a parameter that a column sets; () if it sets the whole."""
+    if target.endswith("]") or not column.endswith("]"):
+        return ()
+    return tuple(int(k) for k in re.findall(r"\d+", column.rpartition("[")[2]))
 
 
 def short(value: float) -> str:

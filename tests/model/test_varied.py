@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, FirstOrder, LookupTable, MatrixGain, ModelError, Ramp, UsageError
+from blocks import Diagram, FirstOrder, LookupTable, MatrixGain, ModelError, Ramp, TransferFunction, UsageError, fmu
 from blocks.cli import main
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.engines.driver import Simulation
@@ -206,3 +207,128 @@ def test_a_batch_beside_a_list_of_lists_for_copies_in_copies_is_made() -> None:
     batch = diagram.batch(["robots.wheels.q"], parameters=given, **grid)
     rows = batch([[10.0]])
     assert rows.signals["robots.y"][0, -1].tolist() == [[10, 20], [30, 40], [50, 60]]
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An FMU of FMI 2, with parameters such as "tf.den[1]", and of copies "lags[1].T" and "lags[1].y_start"."""
+    inside = Diagram("plant")
+    inside.input("u", default=1.0)
+    tf = inside.add("tf", TransferFunction(num=[1], den=[1, 1.2, 1]))
+    lags = inside.add("lags", FirstOrder(T=[0.1, 0.2]), copies=2)
+    inside.wire(tf.u, "u")
+    inside.wire(lags.u, "u")
+    inside.output("y", tf.y)
+    inside.output("z", lags.y)
+    path = tmp_path_factory.mktemp("plant") / "plant.fmu"
+    inside.export(path, fmi=2)
+    return path
+
+
+def around(path: Path, kind: str = "CS", **own: float) -> Diagram:
+    made = Diagram("around")
+    made.wire(made.add("o", fmu(path, kind=kind, parameters=own)).u, made.input("u", default=1.0))
+    made.measure("end", "peak", of="o.y")
+    return made
+
+
+def step_response(zeta: float, t: float) -> float:
+    """Of 1/(s^2 + 2 zeta s + 1), below critical damping."""
+    w = math.sqrt(1 - zeta**2)
+    return 1 - math.exp(-zeta * t) * (math.cos(w * t) + zeta / w * math.sin(w * t))
+
+
+OF_THE_FMU = {"o.tf.den[1]": 0.6, "o.lags[1].T": 0.5, "o.lags[1].y_start": 2.0}
+RUN: dict[str, Any] = {"stop": 3, "rtol": 1e-9, "log": ["o.y", "o.z[1]"]}
+
+
+@native
+@pytest.mark.parametrize("kind", ["CS", "ME"])
+def test_a_parameter_of_an_fmu_whose_name_has_brackets_is_set_like_any_other(plant: Path, kind: str) -> None:
+    made = around(plant, kind)
+    expected = [step_response(0.3, 3.0), 1 + math.exp(-3 / 0.5)]
+
+    def ends(results: Any) -> list[float]:
+        return [results["o.y"][-1], results["o.z[1]"][-1]]
+
+    assert ends(made.run(parameters=OF_THE_FMU, **RUN)) == pytest.approx(expected, abs=1e-5)
+    assert ends(made.prepare(**RUN).run(parameters=OF_THE_FMU)) == pytest.approx(expected, abs=1e-5)
+    assert ends(made.prepare(parameters={"o.tf.den[1]": 9.0} | OF_THE_FMU, **RUN).run()) == pytest.approx(
+        expected, abs=1e-5
+    )
+    own = {name.removeprefix("o."): value for name, value in OF_THE_FMU.items()}
+    assert ends(around(plant, kind, **own).run(**RUN)) == ends(made.run(parameters=OF_THE_FMU, **RUN))
+    swept = made.sweep({name: [value] for name, value in OF_THE_FMU.items()}, **RUN)
+    assert swept.signals["o.y"][0, -1] == pytest.approx(expected[0], abs=1e-5)
+
+
+@native
+def test_a_pattern_matches_parameters_whose_names_have_brackets(plant: Path) -> None:
+    made = around(plant)
+    alike = made.run(parameters={"o.lags[0].T": 0.7, "o.lags[1].T": 0.7}, stop=1)
+    for pattern in ("o.lags[*].T", "o.*.T", "*.lags*.T"):
+        assert made.run(parameters={pattern: 0.7}, stop=1)["o.z[0]"].tolist() == alike["o.z[0]"].tolist()
+        assert made.batch([pattern], stop=1).targets == (("o.lags[0].T", "o.lags[1].T"),)
+    assert made.batch(["o.t*.den[1]"], stop=1).targets == (("o.tf.den[1]",),)
+
+
+@native
+def test_parameters_with_brackets_of_fmus_in_copies(plant: Path) -> None:
+    made = Diagram("fleet")
+    made.wire(made.add("o", fmu(plant, kind="ME"), copies=2).u, made.input("u", default=1.0))
+    found = made.run(parameters={"o[1].tf.den[1]": 0.6}, stop=3, rtol=1e-9)["o.y"][-1]
+    assert found.tolist() == pytest.approx([step_response(0.6, 3.0), step_response(0.3, 3.0)], abs=1e-6)
+    both = made.run(parameters={"o.tf.den[1]": 0.6}, stop=3, rtol=1e-9)["o.y"][-1]
+    assert both.tolist() == pytest.approx([step_response(0.3, 3.0)] * 2, abs=1e-6)
+
+
+@native
+def test_a_tuned_parameter_with_brackets_is_written_into_the_file(plant: Path) -> None:
+    file = plant.with_name("around.json")
+    around(plant).save(file)
+    made = Diagram.load(file)
+    made.measure("overshoot", "peak", of="o.y")
+    tuned = made.tune(minimize="overshoot", over={"o.tf.den[1]": (1.3, 1.9)}, budget=4, stop=5)
+    tuned.write(file)
+    value = Diagram.load(file).value.blocks["o"].parameters["tf.den[1]"]
+    assert value == pytest.approx(tuned.values["o.tf.den[1]"])
+    with pytest.raises(UsageError, match=r"E106 o.tf.den\[7\]: there is no such parameter. Did you mean 'o.tf.den\["):
+        made.tune(minimize="overshoot", over={"o.tf.den[7]": (1.3, 1.9)}, budget=3, stop=5)
+
+
+@native
+def test_a_parameter_with_brackets_is_set_while_a_run_goes_on(plant: Path) -> None:
+    for kind in ("CS", "ME"):
+        run = around(plant, kind).start(stop=30)
+        run.advance(1)
+        run.set("o.tf.den[2]", 0.5)
+        run.advance_to(30)
+        assert run["o.y"] == pytest.approx(2.0, abs=1e-4), "the static gain is 1/den[2]"
+        assert run.given == {"o.tf.den[2]": "0.5"}
+
+
+@native
+def test_commands_set_parameters_with_brackets(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    end = step_response(0.3, 3.0)
+    file = plant.with_name("of_commands.json")
+    around(plant).save(file)
+    assert main(["fmu", "run", str(plant), "--stop", "3", "--input", "u=1", "--set", "tf.den[1]=0.6", "--json"]) == 0
+    assert main(["run", str(file), "--stop", "3", "--set", "o.tf.den[1]=0.6", "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1]["measures"]["end"] == pytest.approx(end, abs=1e-4)
+    assert main(["sweep", str(file), "--stop", "3", "--vary", "o.tf.den[1]=0.6", "--json"]) == 0
+    swept = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert swept["quantiles"]["end"] == pytest.approx([end] * 3, abs=1e-4)
+    study = plant.with_name("study.json")
+    case = {"parameters": {"o.tf.den[1]": 0.6}, "settings": {"stop": 3}}
+    study.write_text(
+        json.dumps({
+            "format": "blocks-study", "version": 1, "name": "damped", "runs": {"one": {"diagram": file.name, **case}},
+            "sweeps": {"many": {"diagram": file.name, "vary": {"o.tf.den[1]": [0.6, 1.2]}, "settings": {"stop": 3}}},
+            "claims": [
+                {"run": "one", "measure": "end", "at_most": end + 1e-4, "expect": "holds"},
+                {"sweep": "many", "measure": "end", "statistic": "mean", "at_most": end, "expect": "holds"},
+            ],
+        })
+    )  # fmt: skip
+    assert main(["study", str(study), "--out", str(plant.parent)]) == 0, "more damping, a lower mean"
