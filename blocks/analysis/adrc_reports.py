@@ -290,7 +290,8 @@ def loop_report(
     width = None if to_output is None else bandwidth(to_output)
     limits = None
     if not loop.dt and len(closed) and (closed.real < 0).all():
-        limits = sampling_limits(closed, width if width is not None else known.crossover)
+        # What the loop can do, not how slowly a differentiator before it lets the reference in.
+        limits = sampling_limits(closed, known.bandwidth or known.crossover)
     of_disturbance, of_noise = peak(to_disturbance), peak(noise)
     return LoopReport(
         diagram.name, control, output, known, loop, sensitivity, complementary, to_disturbance, noise, to_output,

@@ -88,7 +88,9 @@ def _types_of(item: object) -> dict[str, type[Block]]:
 def _imported(name: str) -> ModuleType:
     """A module that the caller names; one that lies in the current folder is found too."""
     if name.endswith(".py") or "/" in name or "\\" in name:
-        raise UsageError(Fault("E501", name, "is a path, but a module's name is needed.", f"Use {Path(name).stem}."))
+        folder = "" if Path(name).parent == Path() else f", with PYTHONPATH={Path(name).parent} in the environment"
+        cure = f"Use {Path(name).stem}{folder}."
+        raise UsageError(Fault("E501", name, "is a path, but a module's name is needed.", cure))
     here = str(Path.cwd())
     sys.path.insert(0, here)
     try:

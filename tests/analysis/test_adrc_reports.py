@@ -94,6 +94,24 @@ def test_a_loop_has_the_known_margins_and_peaks(name: str) -> None:
     assert made.margins.crossover == pytest.approx(crossover, rel=1e-9)
 
 
+def test_a_loop_behind_a_slow_differentiator_is_stable_when_it_is_sampled_as_usual() -> None:
+    """A hold before the plant: by python-control's exact sampling of the loop."""
+    amplitude = {"control_right.nlsef.e": 0.01, "control_right.eso.e": 0.01}
+    diagram = Diagram.load(ROOT / "diagrams" / "paper" / "iadrc.json")
+    made = loop_report(diagram, "control_right.u", "motor_right.omega", reference="speed.y", amplitude=amplitude)
+    assert made.bandwidth is not None
+    assert made.margins.bandwidth is not None
+    assert made.bandwidth < made.margins.bandwidth / 5
+    assert made.sampling is not None
+
+    def largest(period: float) -> float:
+        sampled = control.sample_system(control.ss(made.loop), period, method="zoh")
+        return float(np.abs(control.poles(control.feedback(sampled, 1))).max())
+
+    assert largest(made.sampling.usual[1]) < 1.0
+    assert largest(2 * math.pi / (20 * made.bandwidth)) > 1.0  # as the reference's bandwidth would have it
+
+
 def test_the_loop_is_that_of_the_closed_form_of_the_controller() -> None:
     kp, kd, b1, b2, b3 = 144.6642, 25.5574, 30.4, 523.4, 2970.8
     Ra, La, kb, kt, n, Jeq, Beq = 0.1557, 0.82, 1.185, 1.1882, 3, 0.2752, 0.3922
