@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from ..contract.block import Block
-from ..editing.applying import text_without
 from ..model import document as documents
 from ..model.block_ports import Ports, Probe, port_units
 from ..model.diagram_value import BASE, BlockEntry, DiagramValue, check_name
@@ -87,6 +86,8 @@ class Draft:
 
     def remove(self, name: str) -> None:
         """Remove what has a name, and everything that refers to it. Raises UsageError (E501)."""
+        from ..editing.applying import text_without  # few diagrams lose a block
+
         before = self.value
         text = text_without(documents.dumps(before), name, before.folder, tuple(self.types.values()))
         after = documents.loads(text, folder=before.folder)

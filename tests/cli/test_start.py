@@ -89,3 +89,11 @@ def test_a_run_loads_the_modules_of_its_own_blocks_alone() -> None:
     modules = loaded("check", "diagrams/paper/iadrc.json")
     assert "blocks.library.adrc" in modules
     assert not {"blocks.library.flight", "blocks.library.tables", "blocks.library.power"} & modules
+
+
+def test_a_diagram_whose_code_is_cached_is_not_emitted_again() -> None:
+    loaded("run", "diagrams/paper/iadrc.json", "--engine", "native", "--stop", "0.1")
+    modules = loaded("run", "diagrams/paper/iadrc.json", "--engine", "native", "--stop", "0.1")
+    assert "blocks.engines.native.model" in modules
+    assert not {name for name in modules if name.startswith("blocks.compile.c.") and name.endswith("_code")}
+    assert "blocks.editing.applying" not in modules

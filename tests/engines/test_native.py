@@ -795,7 +795,7 @@ def test_what_is_emitted_is_kept_by_all_but_values(tmp_path: Path, monkeypatch: 
         emissions.append(plan.name)
         return emit(plan, **how)
 
-    monkeypatch.setattr("blocks.compile.c.emit_cache.emit", counted)
+    monkeypatch.setattr("blocks.compile.c.model_code.emit", counted)
 
     def made_of(plan: Plan, *, method: str, logged: Any) -> Emitted:
         return emitted(plan, plan_key(plan, (), logged, method), measured=(), method=method, logged=logged)

@@ -1,4 +1,6 @@
-"""The emitted code of large Plans in the cache of compiled code, as emission takes longer than planning.
+"""The emitted code of Plans in the cache of compiled code.
+
+To load the modules that emit takes some 30 ms, and the emission of a large Plan takes longer than planning.
 
 The key is a digest of all of the Plan that emission reads. Parameter values and start values are no part of it.
 """
@@ -22,11 +24,7 @@ from typing import Any
 from ...host.gc_pause import paused
 from ..plan import Node, Plan, Reference
 from ..toolchain import cache as caches
-from .model_code import Emitted, emit
-from .ticks import Clique, Stage
-
-LEAST = 200
-"""Plans of fewer instances are not cached."""
+from .emitted import Clique, Emitted, Stage
 
 # Of the Plan: what emission does not read, and what is digested in another form below.
 _UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings", "outline"})
@@ -40,20 +38,20 @@ def emitted(
     plan: Plan, digest: bytes, *, measured: Sequence[Reference], method: str, logged: Sequence[Reference]
 ) -> Emitted:
     """What `emit` gives, from the cache if it is there. digest: the `plan_key` of the same arguments."""
-    if len(plan.instances) < LEAST:
-        return emit(plan, measured=measured, method=method, logged=logged, is_filled=True)
     place = caches.of_user()
     key = hashlib.sha256(_own_digest().encode() + digest).hexdigest()
     stored = place.find(key)
     if stored is not None:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             return _read(stored)
+    from .model_code import emit
+
     model = emit(plan, measured=measured, method=method, logged=logged, is_filled=True)
     with contextlib.suppress(OSError), place.work() as work:
         file = work / "emitted.json"
         file.write_text(_text(model), encoding="utf-8")
         place.store(key, file)
-        place.trim(keep=key)
+        place.make_room(key)
     return model
 
 

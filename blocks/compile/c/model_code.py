@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -32,35 +31,16 @@ from ..scheduler import schedule
 from ..tableaus import METHODS, STIFF
 from ..tick_stages import UnitPlace, rate_sets, sequence_of, tick_program
 from .c_text import Filled, ints
+from .emitted import Clique, Emitted, Stage
 from .function_code import LANES, comment, function_text
 from .jacobian_code import elimination, in_order, jacobian_text
 from .lane_code import LANE_PROGRAMS, LaneCode
 from .loops import Call, Copy, Sink, at_of
 from .plan_reader import MOVING, Places, PlanReader, ProgramScope
 from .program_code import SAME, print_program, print_selected
-from .ticks import Clique, Stage
 
 RATES = ("rates", "rates_and_sides", "rates_and_measured", "bent_measured", "plain_measured")
 LONG, LONGEST = 20_000, 100_000  # characters; a longer program is not printed twice, or is compiled as cold code
-
-
-@dataclass(frozen=True)
-class Emitted:
-    """A model: its C text, and the data that belongs to it.
-
-    x_order: the Plan's index of each state of the model. numbers, tables: the rows n and c. sizes: the macros
-    BLOCKS_..., by their names without the prefix, where they are numbers. lanes: the C text of several runs side by
-    side; "": it was not asked for. filled: the row blocks_filled, which the library gets once it is loaded.
-    """
-
-    source: str
-    x_order: tuple[int, ...]
-    numbers: tuple[float, ...]
-    tables: tuple[float, ...]
-    cliques: tuple[Clique, ...]
-    sizes: Mapping[str, int]
-    lanes: str = ""
-    filled: bytes = b""
 
 
 @paused()

@@ -15,7 +15,7 @@ from ..fmu_tape import FmuTape
 from ..folding import Folded
 from ..plan import FiringOrder, Node, Plan, Reference
 from . import runtime_layout
-from .model_code import Emitted
+from .emitted import Emitted
 
 
 class SetupTable(NamedTuple):

@@ -12,14 +12,13 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...compile.c import runtime_layout
 from ...compile.c.emit_cache import emitted, plan_key
-from ...compile.c.lane_code import LANE_FILES, Machine, why_no_gain
-from ...compile.c.model_code import Emitted, emit
+from ...compile.c.emitted import Emitted
 from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_tables import RuntimeTables
 from ...compile.c.runtime_texts import RUNTIME, loop_units, packaged, stiff_units
@@ -29,7 +28,10 @@ from ...compile.toolchain.compiler import TranslationUnit, build, build_quickly,
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
-from .carried_order import CarriedOrder
+
+if TYPE_CHECKING:
+    from ...compile.c.lane_code import Machine
+    from .carried_order import CarriedOrder
 
 _LOCK = threading.Lock()
 MOST_MODELS = 32
@@ -62,6 +64,8 @@ def model_of(
         made = emitted(plan, digest, measured=measured, method=method, logged=logged)
         model = Model(plan, made, logged, method, is_quick=is_quick)
     elif model is None:
+        from ...compile.c.model_code import emit
+
         made = emit(plan, measured=measured, method=method, logged=logged, lanes=True)
         model = Model(plan, made, logged, method, lanes)
     elif not is_quick:
@@ -100,8 +104,12 @@ class Model(RuntimeTables):
             *(TranslationUnit(name, text, headers, is_shared=True) for name, text in packaged(*more_units).items()),
             TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
         ]
-        self.why_no_lanes = why_no_gain(made.sizes) if lanes is not None else ""
-        self.lanes = None if self.why_no_lanes else lanes
+        self.why_no_lanes, self.lanes = "", lanes
+        if lanes is not None:
+            from ...compile.c.lane_code import LANE_FILES, why_no_gain
+
+            self.why_no_lanes = why_no_gain(made.sizes)
+            self.lanes = None if self.why_no_lanes else lanes
         if self.lanes is not None:
             headers = headers | packaged(*LANE_FILES, "batch.h") | {"lane_machine.h": self.lanes.header()}
             units.append(TranslationUnit("lanes.c", made.lanes, headers))
@@ -170,6 +178,8 @@ class Model(RuntimeTables):
     def carried_order(self, plan: Plan) -> CarriedOrder:
         """How what a stiff method keeps is ordered, by a Plan that differs in values alone."""
         if self._carried is None:
+            from .carried_order import CarriedOrder  # explicit methods carry nothing
+
             self._carried = CarriedOrder(plan, self.place)
         return self._carried
 
