@@ -35,12 +35,12 @@ class PreparedModel:
     """A diagram as it was when it was prepared, with the settings that were given; what changes afterwards does not
     reach it. Threads may use it at the same time: each run has its own state.
 
-    Values of tunable parameters and start values, inputs, and of the settings start, stop, step, rtol, atol, every,
-    jumps, stops and seed cost nothing beyond the run. What fixes more than numbers makes a new form of the model, of
-    which the last 8 are kept: structural parameters, sizes, periods, delays, tables, texts, which elements of a matrix
-    are 0; parameters that measures, the times of the run or nominal sizes are computed from; other names of parameters
-    than in the runs before; log, method, loops, master. A form for FMUs is prepared once too, but these begin as new
-    ones in each run. A model pickles as what it is made of, and is prepared again where it is loaded.
+    Values of tunable parameters, start values and delays, inputs, and of the settings start, stop, step, rtol, atol,
+    every, jumps, stops and seed cost nothing beyond the run. What fixes more than numbers makes a new form of the
+    model, of which the last 8 are kept: structural parameters, sizes, periods, tables, texts, which elements of a
+    matrix are 0; parameters that measures, the times of the run or nominal sizes are computed from; other names of
+    parameters than in the runs before; log, method, loops, master. A form for FMUs is prepared once too, but these
+    begin as new ones in each run. A model pickles as what it is made of, and is prepared again where it is loaded.
     """
 
     def __init__(self, value: DiagramValue, types: Mapping[str, type[Block]], case: Case) -> None:

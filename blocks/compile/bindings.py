@@ -22,7 +22,7 @@ from ..contract.declaration import Declaration
 from ..contract.expressions import Expression, PostfixStep
 from ..contract.interface import Value
 from ..contract.reads import arguments
-from ..contract.resolution import Resolved, limits
+from ..contract.resolution import LEAST_DELAY, Resolved, limits
 from ..contract.scalars import Scalar
 from ..contract.sparse import SparseMatrix
 from ..contract.tape import TapeNode
@@ -426,6 +426,7 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _Draft]]:
     interface, values = resolved.interface, resolved.values
     places = parameter_places(interface)
     strictest = _strictest(interface.declaration)
+    delays = {use.name for use in uses(interface.declaration) if use.what == "delay" and use.level == FIXED}
     for name, parameter in interface.declaration.parameters.items():
         value = values[name].value
         if value is None:
@@ -435,6 +436,8 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _Draft]]:
         unit = "" if is_text else interface.declared_unit(parameter)
         low, high = limits(parameter, unit) if type_ in ("real", "int") else (None, None)
         is_open = type_ in ("real", "int") and parameter.positive and (low is None or low <= 0)
+        if name in delays and (low is None or low < LEAST_DELAY):
+            low, is_open = LEAST_DELAY, False
         elements: tuple[object, ...] = (value,) if is_text else _floats(array)
         setting = Setting(
             "", type=type_, shape=array.shape, unit=si_text(unit), display="" if unit == si_text(unit) else unit,

@@ -134,14 +134,23 @@ class FiringOrder(NamedTuple):
 class History:
     """One element of h: what `source` was `delay` seconds ago, and `before` where that is before the start.
 
-    echoes: whether any history depends on it, so that a break in it may occur again a delay later.
+    delay, before: places in p, or numbers ("k"); `Plan.delays` has their values. echoes: whether any history depends
+    on it, so that a break in it may occur again a delay later.
     """
 
     name: str
     source: Reference
+    delay: Reference
+    before: Reference
+    echoes: bool = True
+
+
+class Delay(NamedTuple):
+    """The numbers of a history: its delay in s, and its value before the start."""
+
     delay: float
     before: float
-    echoes: bool = True
+    echoes: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,7 +369,17 @@ class Plan(Shown):
     @cached_property
     def time_scale(self) -> float:
         """The size of the times that others are computed from, whose rounding errors these carry along near 0."""
-        return max([abs(float(self.settings.start)), *(history.delay for history in self.histories)])
+        return max([abs(float(self.settings.start)), *(one.delay for one in self.delays)])
+
+    @cached_property
+    def delays(self) -> tuple[Delay, ...]:
+        """The numbers of each history, with the parameters of this Plan."""
+        p = self.parameters
+
+        def number(reference: Reference) -> float:
+            return float(p[reference.index] if reference.row == "p" else reference.index)
+
+        return tuple(Delay(number(one.delay), number(one.before), one.echoes) for one in self.histories)
 
     @cached_property
     def unknowns_at(self) -> Mapping[Reference, int]:

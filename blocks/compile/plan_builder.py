@@ -14,12 +14,14 @@ import numpy as np
 
 from ..contract.interface import Interface
 from ..contract.resolution import Resolved, memory_start
+from ..contract.variables import Parameter
 from ..host.gc_pause import paused
 from ..model.block_signals import FlatSignal
 from ..model.conditional import Ending
 from ..model.flat_block import FlatBlock
 from ..model.flatten import Flat
 from ..model.wires import BlockSource, InputSource, Source
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError
 from .conditioning import unsure
 from .firing_order import firing_order
@@ -150,7 +152,7 @@ class _PlanBuilder:
             if not memory.footprints[index].is_still:
                 self.causes(index)
                 self.clocks(index, block)
-                self.delays(block)
+                self.delays(index, block)
         base, rates = self.rates()
         instances = tuple(
             Instance(
@@ -366,14 +368,26 @@ class _PlanBuilder:
                 (Node(index, *result), first[ROWS["d"]] + place) for result, place in clocked.elements
             )
 
-    def delays(self, block: FlatBlock) -> None:
+    def delays(self, index: int, block: FlatBlock) -> None:
         """Histories in the order of their layout."""
         d = block.interface.declaration
+        places = self.memory.footprints[index].place
+
+        def where(source: object, values: Array) -> Iterator[Reference]:
+            """Yield the places in p of a parameter, or the numbers that were computed."""
+            if isinstance(source, Parameter) and places.get(source.name, ("", 0))[0] == "p":
+                row, first = self.memory.place(index, source.name)
+                shape = block.interface.shape(source)
+                own = np.arange(first, first + math.prod(shape)).reshape(shape)
+                return (Reference(row, int(k)) for k in np.broadcast_to(own, values.shape))
+            return (Reference("k", float(value)) for value in values)
+
         for name, (delay, before) in block.resolved.delays.items():
             history = d.histories[name]
             names = names_of(f"{block.path}.{name}", len(before), block.interface.shape(history))
-            for label, source, value in zip(names, block.sources[history.of.name], before, strict=True):
-                self.histories.append(History(label, self.memory.reference(source), delay, float(value)))
+            sources, since = block.sources[history.of.name], where(history.delay, np.full(len(before), delay))
+            for label, source, ago, held in zip(names, sources, since, where(history.before, before), strict=True):
+                self.histories.append(History(label, self.memory.reference(source), ago, held))
 
     def rates(self) -> tuple[Fraction, tuple[Rate, ...]]:
         times = [time for clock in self.sampled for time in clock if time]

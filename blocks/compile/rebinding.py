@@ -34,8 +34,8 @@ class Rebinding:
     that get other values.
 
     Where `is_possible` is False, other values need a Plan of their own: what they fix is not in the row p alone (sizes
-    and other structural parameters, patterns of zeros, periods, delays, tables, texts, measures, times of the run,
-    nominal sizes), or the diagram has FMUs or programs in Python.
+    and other structural parameters, patterns of zeros, periods, delays given by functions, tables, texts, measures,
+    times of the run, nominal sizes), or the diagram has FMUs or programs in Python.
     """
 
     def __init__(self, flat: Flat, plan: Plan, free: Iterable[str], runs: Iterable[Mapping[str, object]] = ()) -> None:

@@ -248,7 +248,10 @@ class _Resolving:
         delays: dict[str, tuple[float, Array]] = {}
         for name, history in self.declaration.histories.items():
             try:
-                delay = float(_time(history.delay, self.values, self.structural))
+                if isinstance(history.delay, Parameter):  # as the run reads it
+                    delay = float(self.values[history.delay.name].value)
+                else:
+                    delay = float(_time(history.delay, self.values, self.structural))
                 before = _start(history, history.before, self.values, self.structural, interface)
             except Exception as error:  # a function of the class may raise anything
                 self.faults.append(not_computed("E110", f"{self.place}.{name}", "its delay", error))

@@ -23,7 +23,8 @@ class Use(NamedTuple):
     """A use of a parameter.
 
     what: "value" where only its own value counts: a start value, or a number from which a program is made; "nominal"
-    where the usual size of a state follows; "more" where anything else follows. level, why: when it may be set.
+    where the usual size of a state follows; "delay" where a delay does; "more" where anything else follows.
+    level, why: when it may be set.
     """
 
     name: str
@@ -85,10 +86,13 @@ def _of_clocks(declaration: Declaration) -> Iterator[Use]:
 
 def _of_memory(declaration: Declaration) -> Iterator[Use]:
     for history in declaration.histories.values():
-        for name in _read(history.delay):
-            yield Use(name, "more", CONSTANT, "a delay depends on it")
-        for name in _read(history.before):
-            yield Use(name, "more", CONSTANT, f"{history.name} holds it before the start")
+        for source, what, why in (
+            (history.delay, "delay", "a delay depends on it"),
+            (history.before, "more", f"{history.name} holds it before the start"),
+        ):
+            # A run reads a parameter when it begins; what a function gives is computed before.
+            for name in _read(source):
+                yield Use(name, what, FIXED if isinstance(source, Parameter) else CONSTANT, why)
     sampled: list[Output | Stepped] = [output for output in declaration.outputs.values() if output.clock is not None]
     for held in (*sampled, *declaration.stepped.values()):
         for name in _read(held.start):

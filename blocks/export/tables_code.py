@@ -90,7 +90,6 @@ def tables_text(
         texts("discrete_names", plan.discretes), texts("cause_names", causes), texts("names", names),
     ]  # fmt: skip
     length = float(settings.stop - settings.start) if settings.stop is not None else math.inf
-    delays = [history.delay for history in plan.histories]
     fields: dict[str, object] = {
         "setup": "&setup", "token": f'"{token}"', "kinds": kinds, "nvariables": len(variables.places),
         "nsettings": len(starts), "noutputs": len(variables.outputs), "nlocals": len(variables.locals),
@@ -102,8 +101,7 @@ def tables_text(
         "numbers": "numbers", "tables": "tables", "texts": "strings", "state_names": "state_names",
         "discrete_names": "discrete_names", "cause_names": "cause_names", "names": "names",
         "rtol": number(settings.rtol), "plain_atol": number(settings.atol), "start": number(float(settings.start)),
-        "length": number(length), "delay": number(max(delays, default=0.0)),
-        "shortest": number(min(delays, default=0.0) / 1.02), "jacobian": derived.initializer,
+        "length": number(length), "jacobian": derived.initializer,
     }  # fmt: skip
     parts += [
         "extern const BlocksModel blocks_model;\n",

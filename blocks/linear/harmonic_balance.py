@@ -306,7 +306,7 @@ class Linearizer(Linearization, Shown):
 
     def parts(self) -> Iterator[Part]:
         """Where it stands, what has no slope there, and the signals that it can be asked for."""
-        plan, point = self.graph.plan, self.slopes.point
+        plan, point = self.plan, self.slopes.point
         yield f"<Linearizer of {plan.name} at t = {point.t:g} s: {counted(len(plan.states), 'state')}>"
         inputs = ", ".join(known.name for known in plan.inputs)
         yield f"  inputs: {inputs or 'none'}"

@@ -55,8 +55,8 @@ class LateCopies:
         self.nx, self.width = len(m["xx"]), m["xx"].shape[1] + m["xd"].shape[1] + m["xe"].shape[1]
         self._own = {row: np.hstack([m[row + "x"], m[row + "d"], m[row + "e"]]) for row in "xdy"}
         self._late = {row: np.empty((len(own), 0)) for row, own in self._own.items()}
-        self._plan, self._delays = plan, [_in_steps(plan.histories[k].delay, plan) for k in histories]
-        self._names = [f"{plan.histories[k].name} ({plan.histories[k].delay:g} s)" for k in histories]
+        self._plan, self._delays = plan, [_in_steps(plan.delays[k].delay, plan) for k in histories]
+        self._names = [f"{plan.histories[k].name} ({plan.delays[k].delay:g} s)" for k in histories]
         if histories:
             self._own["h"] = np.hstack([m["hx"], m["hd"], m["he"]])
             self._late = {row: m[row + "h"] for row in "xdyh"}

@@ -148,7 +148,7 @@ class Linearization(ReplacedSlopes):
         count: int | None = None,
     ) -> Transfer:
         """count: how many outputs are signals; the others are what laws read, seen at ticks if there are any."""
-        plan = self.graph.plan
+        plan = self.plan
         units = [spot.unit for spot in ins], [spot.unit for spot in outs]
         signals = [spot.name for spot in ins], [spot.name for spot in outs]
         matrices, names = matrices_of(wired, plan, pade)
@@ -168,7 +168,7 @@ class Linearization(ReplacedSlopes):
         Its inputs are additions to the rates of the states, and to what sampled blocks remember at their ticks. Raises
         AnalysisError as `model`.
         """
-        graph, plan = self.graph, self.graph.plan
+        graph, plan = self.graph, self.plan
         x, d = graph.first["x"], graph.first["d"]
         named = dict(enumerate(plan.states, x)) | {d + slot: name for slot, name in enumerate(plan.discretes)}
         nodes = [n for n, column in enumerate(graph.variable.tolist()) if column in named]
@@ -188,7 +188,7 @@ class Linearization(ReplacedSlopes):
 
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
-        plan = self.graph.plan
+        plan = self.plan
         if not wired.d:
             message = "this transfer has no sampled part."
             raise UsageError(Fault("E501", plan.name, message, "Use model()."))
@@ -222,7 +222,7 @@ class Linearization(ReplacedSlopes):
         others = self._places(openings)
         cut = [*spots, *others]
         wired, report = self.wired(spots, spots, cut)
-        plan = self.graph.plan
+        plan = self.plan
         m, states = matrices_of(wired, plan, pade)
         report = with_pade_models(report, wired, plan, pade)
         dt, values = 0.0, [(k, 0.0) for k in range(len(spots))]
@@ -293,7 +293,7 @@ class Linearization(ReplacedSlopes):
 
     def _between_ticks(self, spot: SignalElement, sampled: Sampled) -> AnalysisError:
         """The error for a loop that is opened where the signal changes between ticks and acts there."""
-        plan = self.graph.plan
+        plan = self.plan
         held = [plan.discretes[sampled.slots[k]] for _, _, outputs, _ in sampled.rates for k in outputs]
         message = (
             "changes and acts between the ticks of sampled blocks, so that a loop opened here has no transfer "
@@ -326,7 +326,7 @@ class Linearization(ReplacedSlopes):
         wired = reduced(self, whole, contributing(self, whole))
         if wired.d or wired.h:
             message = "the transfer has sampled blocks or delays, for which there is no sparse continuous model."
-            raise AnalysisError(Fault("E703", self.graph.plan.name, message, "Use model()."))
+            raise AnalysisError(Fault("E703", self.plan.name, message, "Use model()."))
         keys = (("x", "x"), ("x", "e"), ("y", "x"), ("y", "e"))
         A, B, C, D = (sparse.csr_matrix(wired.matrix[key]) for key in keys)
         return A, B, C, D
@@ -359,7 +359,7 @@ class Linearization(ReplacedSlopes):
             bad = int(np.nonzero(np.any(between != 0, axis=0))[0][0])
             raise AnalysisError(Fault("E704", self.graph.node_name(nodes[bad]), message, cure))
         if wired.h and not wired.d and not pade:
-            return delayed_model(wired, self.graph.plan, ins, outs)
+            return delayed_model(wired, self.plan, ins, outs)
         return self._made(wired, report, ins, outs, pade, len(outputs))
 
     def response(self, inputs: Names, outputs: Names, omega: object, *, openings: Names = ()) -> Array:
@@ -373,7 +373,7 @@ class Linearization(ReplacedSlopes):
             raise UsageError(Fault("E501", "response", "frequencies must be finite numbers in one row, in rad/s."))
         if wired.d or not wired.h:
             return response(self._made(wired, report, ins, outs, 0), omega)
-        return delayed_model(wired, self.graph.plan, ins, outs).response(omega)
+        return delayed_model(wired, self.plan, ins, outs).response(omega)
 
     def delayed(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> DelayedModel:
         """The model with its delays as they are, which answers at frequencies only. Arguments as of `model`.
@@ -384,8 +384,8 @@ class Linearization(ReplacedSlopes):
         wired, report = self.wired(ins, outs, cut)
         if not wired.h:
             message = "this transfer has no exact delay."
-            raise UsageError(Fault("E501", self.graph.plan.name, message, "Use model()."))
-        return replace(delayed_model(wired, self.graph.plan, ins, outs), name=self.graph.plan.name, report=report)
+            raise UsageError(Fault("E501", self.plan.name, message, "Use model()."))
+        return replace(delayed_model(wired, self.plan, ins, outs), name=self.plan.name, report=report)
 
     def delayed_loop(self, points: Names, *, openings: Names = (), sign: float = -1.0) -> DelayedModel:
         """The loop transfer at a signal, with its delays as they are: for `margins`. Arguments as of `loop`."""

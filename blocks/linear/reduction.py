@@ -201,7 +201,7 @@ def with_pade_models(
     """Return the report, in which each delay that is a Padé model says so, and up to which frequency it is near."""
     if not (wired.h and pade):
         return report
-    delays = {plan.histories[k].name.rpartition(".")[0]: plan.histories[k].delay for k in wired.h}
+    delays = {plan.histories[k].name.rpartition(".")[0]: plan.delays[k].delay for k in wired.h}
 
     def noted(block: BlockReport) -> BlockReport:
         if block.path not in delays:
@@ -227,7 +227,7 @@ def matrices_of(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array], 
     if pade < 1 and wired.d:
         return {row + column: wired.dense(row, column) for row in "xdhy" for column in "xdhe"}, names
     if pade < 1:
-        delays = ", ".join(f"{plan.histories[k].name} ({plan.histories[k].delay:g} s)" for k in wired.h)
+        delays = ", ".join(f"{plan.histories[k].name} ({plan.delays[k].delay:g} s)" for k in wired.h)
         message = f"the transfer has exact delays, which a state space cannot hold: {delays}."
         cure = (
             "They stay exact in linearizer.response(...), delayed(inputs, outputs) and delayed_loop(signal), "
@@ -238,7 +238,7 @@ def matrices_of(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array], 
 
     A, B, C, D = [], [], [], []  # type: ignore[var-annotated]
     for k in wired.h:
-        num, den = control.pade(plan.histories[k].delay, pade)
+        num, den = control.pade(plan.delays[k].delay, pade)
         system = control.ss(control.tf(num, den))
         for parts, matrix in zip((A, B, C, D), (system.A, system.B, system.C, system.D), strict=True):
             parts.append(matrix)
@@ -272,6 +272,6 @@ def delayed_model(
         message = "sampled blocks contribute to this transfer: its delays are exact in a model from tick to tick."
         raise UsageError(Fault("E501", plan.name, message, "Use model(), or loop()."))
     matrices = {(row, column): wired.dense(row, column) for row in "xhy" for column in "xhe"}
-    delays = tuple(plan.histories[k].delay for k in wired.h)
+    delays = tuple(plan.delays[k].delay for k in wired.h)
     signals = tuple(spot.name for spot in ins), tuple(spot.name for spot in outs)
     return DelayedModel(matrices, delays, signals, (tuple(s.unit for s in ins), tuple(s.unit for s in outs)))

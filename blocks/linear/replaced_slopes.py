@@ -39,6 +39,7 @@ class ReplacedSlopes:
         overrides: Mapping[str, object] | None = None,
     ) -> None:
         self.slopes, self.graph = slopes, slopes.graph
+        self.plan = slopes.point.plan  # that of the graph may have other parameters, and other delays
         self.data = slopes.data.copy()
         self.extra: dict[tuple[int, int], float] = {}  # partials that no tape has
         self.described: dict[tuple[int, int], str] = {}  # how, by node and slot

@@ -1,6 +1,7 @@
 """Batches: each row is the run that it stands for, bit for bit, whatever runs beside it."""
 
 import contextlib
+import math
 import os
 import subprocess
 import sys
@@ -32,6 +33,7 @@ from blocks import (
 from blocks.api import batch as batches
 from blocks.api.batch import BatchRows
 from blocks.model.varied import columns_of
+from blocks.text.arrays import Array
 from blocks.text.errors import BlocksError, ModelError, UsageError
 from tests.support.documents import SHIPPED, span
 
@@ -152,6 +154,43 @@ def test_threads_order_pieces_and_neighbours_change_no_bit(monkeypatch: pytest.M
     alone = batch.single(table[3], seed=3)
     told = {name: str(float(column[3])) for name, column in whole.measures.items()}
     assert {name: str(value) for name, value in alone.measures.items()} == told
+
+
+def lagging() -> Diagram:
+    """dx/dt = -x(t - T), x = x0 up to t = 0."""
+    d = Diagram("lagging")
+    T, x0 = d.parameter("T", 1.0, unit="s"), d.parameter("x0", 1.0)
+    d.add("x", Integrator(y_start=x0))
+    d.add("late", TransportDelay(delay=T, y_before=x0))
+    d.add("gain", Gain(k=-1.0))
+    for sink, source in {"late.u": "x.y", "gain.u": "late.y", "x.u": "gain.y"}.items():
+        d.wire(sink, source)
+    return d
+
+
+def by_steps(t: Array, T: float, x0: float) -> Array:
+    """The same by the method of steps: a polynomial more in each interval of T."""
+    total = np.zeros_like(t)
+    for n in range(int(t[-1] / T) + 2):
+        total += np.where(t >= (n - 1) * T, (-1) ** n * (t - (n - 1) * T) ** n / math.factorial(n), 0.0)
+    return x0 * total
+
+
+@pytest.mark.parametrize("settings", [{}, {"method": "rk4", "step": 0.01}, {"method": "radau"}], ids=str)
+def test_a_delay_is_bound_as_other_values_are(settings: dict[str, Any]) -> None:
+    """Runs of their own agree bit for bit, and the method of steps to the tolerance."""
+    d = lagging()
+    settings = settings | {"log": ["x.y", "late.y"], "stop": 3.0, "every": 0.125, "rtol": 1e-8}
+    batch = d.batch(["T", "x0"], **settings)
+    table = [[0.7, 1.0], [0.3, 2.0], [1.9, -1.0], [0.05, 0.5], [7.0, 1.0], [0.0, 1.0], [-1.0, 1.0], [1e-16, 1.0]]
+    rows = batch(table, threads=2)
+    assert rows.status.tolist() == ["ok"] * 5 + ["refused"] * 3
+    assert len(batch._forms) == 1, "all delays have one model"
+    assert rows.messages[5] == "E107 late.delay: must be above 0, not 0.0."
+    for i, (T, x0) in enumerate(table):
+        same(rows, i, d, parameters={"T": T, "x0": x0}, **settings)
+        if rows.status[i] == "ok":
+            assert rows.signals["x.y"][i] == pytest.approx(by_steps(rows.t, T, x0), abs=1e-6)
 
 
 def square() -> Diagram:

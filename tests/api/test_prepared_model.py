@@ -19,7 +19,9 @@ from blocks import (
     Integrator,
     Parameter,
     Results,
+    Sine,
     Stepped,
+    TransportDelay,
     ZeroOrderHold,
     fmu,
     output,
@@ -89,6 +91,32 @@ def test_runs_of_a_prepared_model_are_fresh_runs(path: Path) -> None:
     grids = {"every": stop / 5}, {"jumps": True, "every": stop / 2.5}
     for more in ({}, {"stop": stop / 2}, grids[0], {"log": log}, {"log": []}, grids[1], {}):
         same(model.run(**{**given, **more}), Diagram.load(path).run(**{**given, **fixed, **more}))
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_a_delay_of_a_prepared_model_is_that_of_a_fresh_run(
+    engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is flattened for it. Also where a run goes on from a saved state."""
+    diagram = Diagram("late")
+    wave, late, lag = diagram.add("wave", Sine(omega=5.0)), diagram.add("late", TransportDelay()), Integrator()
+    diagram.wire(late.u, wave.y)
+    diagram.wire(diagram.add("lag", lag).u, late.y)
+    diagram.settings(stop=2.0, every=0.25)
+    model = diagram.prepare(parameters={"late.delay": 0.2, "late.y_before": 0.0}, engine=engine)
+    pairs = [(0.9, 1.0), (0.03, 2.0), (5.0, -1.0)]
+    others = [{"late.delay": delay, "late.y_before": before} for delay, before in pairs]
+    fresh = [diagram.copy().run(parameters=given, engine=engine) for given in others]
+    with monkeypatch.context() as patch:
+        patch.setattr("blocks.engines.prepared.flatten", None)
+        ours = [model.run(parameters=given) for given in others]
+    for one, anew in zip(ours, fresh, strict=True):
+        same(one, anew)
+    run = diagram.copy().start(parameters=others[0], engine=engine)
+    run.advance_to(1.0)
+    run.save(tmp_path / "half.state")
+    rest, whole = diagram.run(resume=tmp_path / "half.state"), model.run(parameters=others[0], stops=[1.0])
+    assert rest["lag.y"].tobytes() == whole["lag.y"][whole.t >= 1.0].tobytes()
 
 
 def test_log_every_and_streams_of_rows_change_no_bit_of_anything_else() -> None:

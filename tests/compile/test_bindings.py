@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Block, Diagram, Input, ModelError, Parameter, State, output
+from blocks import Block, Diagram, History, Input, ModelError, Parameter, State, output
 from blocks.compile.bindings import bindings
 from blocks.compile.c.bindings_code import bindings_c
 from blocks.compile.plan import Plan
@@ -577,8 +577,28 @@ def test_a_leaf_is_as_strict_as_what_depends_on_it() -> None:
     }
     assert b["gain2.k"].variability == "tunable"  # it can change, with free
     assert b["gain3.k"].variability == "fixed"
-    assert b["delay.delay"].why == "a delay depends on it"
-    assert b["delay.y_before"].why == "past holds it before the start"
+    assert (b["delay.delay"].variability, b["delay.delay"].why) == ("fixed", "a delay depends on it")
+    assert (b["delay.delay"].low, b["delay.delay"].low_open) == (1e-15, False)
+    assert (b["delay.y_before"].variability, b["delay.y_before"].why) == ("fixed", "past holds it before the start")
+
+
+def test_what_a_function_makes_a_delay_from_is_constant() -> None:
+    class Twice(Block):
+        """y(t) = u(t - 2 half)."""
+
+        half = Parameter(1.0, unit="s", positive=True)
+        u = Input()
+        past = History(u, delay=lambda half: 2 * half)
+
+        @output
+        def y(past: Any) -> Any:
+            return past
+
+    d = Diagram("twice")
+    d.wire(d.add("twice", Twice()).u, d.input("u"))
+    flat = d.flatten()
+    setting = next(one for one in bindings(flat, plan(flat)) if one.path == "twice.half")
+    assert (setting.variability, setting.low, setting.low_open) == ("constant", 0.0, True)
 
 
 def test_what_only_constants_make_is_constant() -> None:

@@ -602,6 +602,21 @@ def kept(name: str, fmi: int) -> Fmu:
     return exported(delayed(), fmi=fmi, **settings) if name == "delayed" else of_file(name, fmi, **settings)
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_delay_is_set_before_the_start(fmi: int) -> None:
+    """It gives the bits of an FMU that is exported with it."""
+    given = {"late.delay": 0.17, "back.delay": 0.45, "back.y_before": 2.0}
+    anew = exported(delayed(), fmi=fmi, parameters=given)
+    with kept("delayed", fmi).instance() as one, anew.instance() as other:
+        assert "is out of its range, which is [1e-15, inf)" in one.refuses("late.delay", 1e-16)
+        for name, value in given.items():
+            one.set(name, value)
+        one.begin(stop=3.0)
+        other.begin(stop=3.0)
+        assert go_on(one, 0, 32) == go_on(other, 0, 32)
+        one.refuses("late.delay", 0.3)
+
+
 KEPT = ["bouncing_ball", "sampled_loop", "paper/iadrc", "delayed"]
 KEPT += ["delayed by radau", "paper/iadrc by radau", "motor_pid by radau"]
 

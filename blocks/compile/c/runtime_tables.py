@@ -13,7 +13,7 @@ from ...text.arrays import Array
 from ..firing_order import order_of
 from ..fmu_tape import FmuTape
 from ..folding import Folded
-from ..plan import FiringOrder, Node, Plan, Reference
+from ..plan import FiringOrder, History, Node, Plan, Reference
 from . import runtime_layout
 from .emitted import Emitted
 
@@ -94,7 +94,7 @@ class RuntimeTables:
             ],
             runtime_layout.PROJECTION,
         )
-        self.histories = _table([(h.delay, h.before, int(h.echoes)) for h in plan.histories], runtime_layout.HISTORY)
+        self.histories = _table([_numbers(one) for one in plan.histories], runtime_layout.HISTORY)
         self._of_integers(plan)
         measures = [(spec.start, spec.stop, spec.omega, MEASURES[spec.type]) for spec in plan.measures]
         self.measures = _table(measures, runtime_layout.MEASURE)
@@ -290,6 +290,14 @@ def _condition(plan: Plan, instance: int) -> int:
     """The side that says whether a block is on; -1: always."""
     side = plan.instances[instance].condition
     return -1 if side is None else side
+
+
+def _numbers(of: History) -> tuple[float, ...]:
+    """Return a history as C has it: its delay and what is before, as numbers and as places in p."""
+    pair = of.delay, of.before
+    numbers = [0.0 if one.row == "p" else one.index for one in pair]
+    places = [one.index if one.row == "p" else -1 for one in pair]
+    return (*numbers, *places, int(of.echoes))
 
 
 def _table(rows: Sequence[tuple[object, ...]], kind: np.dtype[np.void]) -> Array:

@@ -198,12 +198,8 @@ class Model(RuntimeTables):
             return last[1:]
         setup = runtime_layout.BlocksSetup.from_buffer_copy(self.setup)
         setup.rtol, setup.plain_atol = settings.rtol, settings.atol
-        longest, start = longest_step(plan), settings.start
-        if plan.histories:
-            shortest = min(history.delay for history in plan.histories) / 1.02
-            longest = shortest if settings.step is not None else min(longest, shortest)
-        setup.longest = longest
-        setup.scale = plan.time_scale
+        start = settings.start
+        setup.longest = longest_step(plan)
         setup.end = math.nan if settings.stop is None else float(settings.stop)
         setup.start = float(start)
         setup.base_numerator, setup.base_denominator = plan.base.as_integer_ratio()

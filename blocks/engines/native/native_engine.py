@@ -571,7 +571,7 @@ class NativeEngine:
 
         x = self._row("x")[place]
         weights = self._atol[place] + self.settings.rtol * np.abs(x)
-        return StateRates(self.plan.states, x, weights, rates, self.sim.instants, self._handle.setup.longest)
+        return StateRates(self.plan.states, x, weights, rates, self.sim.instants, self.sim.longest)
 
     @property
     def recorded_bytes(self) -> float:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...compile.plan import History, Plan
+from ...compile.plan import Delay, Plan
 from ...compile.time_grid import within_ulps
 from ...text.arrays import Array
 
@@ -59,7 +59,7 @@ class Past:
     instant now makes, if it is not a lower one by the signals themselves. scale: of times, see Plan.
     """
 
-    histories: tuple[History, ...]
+    histories: tuple[Delay, ...]
     scale: float
     store: Store = field(compare=False, repr=False)
     known: int
@@ -73,7 +73,7 @@ class Past:
         """Nothing but the start, which is a break; None where nothing is remembered."""
         if not plan.histories:
             return None
-        return cls(plan.histories, plan.time_scale, Store(breaks=[(t, 0)]), 0, 1, True, (0,) * len(plan.histories), 0)
+        return cls(plan.delays, plan.time_scale, Store(breaks=[(t, 0)]), 0, 1, True, (0,) * len(plan.histories), 0)
 
     def rows(self) -> dict[str, Array]:
         """Return the same as rows of a saved state."""
@@ -98,7 +98,7 @@ class Past:
         store = Store(rows["past.starts"].tolist(), rows["past.ends"].tolist(), parts, breaks)
         passed = tuple(rows["past.passed"].tolist())
         is_open, seen = bool(rows["past.open"]), int(rows["past.seen"])
-        return cls(plan.histories, plan.time_scale, store, len(parts), len(breaks), is_open, passed, seen)
+        return cls(plan.delays, plan.time_scale, store, len(parts), len(breaks), is_open, passed, seen)
 
     @property
     def longest_step(self) -> float:
@@ -109,7 +109,7 @@ class Past:
         """What the histories give at t, which lies between now and the next break."""
         return tuple(self._value(i, history, t) for i, history in enumerate(self.histories))
 
-    def _value(self, i: int, history: History, t: float) -> float:
+    def _value(self, i: int, history: Delay, t: float) -> float:
         passed, store, delay = self.passed[i], self.store, history.delay
         if passed == 0:
             return history.before

@@ -53,7 +53,7 @@ def _steps(plan: Plan) -> list[Fraction]:
     """Lengths in s that no step is longer than."""
     lengths = [rate.period * plan.base for rate in plan.rates]
     lengths += [plan.settings.step] if plan.settings.step is not None else []
-    return lengths + [Fraction(history.delay) for history in plan.histories if history.delay > 0]
+    return lengths + [Fraction(one.delay) for one in plan.delays if one.delay > 0]
 
 
 def _of_past(plan: Plan, begin: Fraction, *, is_native: bool) -> float:
@@ -61,7 +61,7 @@ def _of_past(plan: Plan, begin: Fraction, *, is_native: bool) -> float:
     stop = plan.settings.stop
     if not plan.histories or stop is None:
         return 0.0
-    horizon = min(stop - begin, Fraction(max(history.delay for history in plan.histories)))
+    horizon = min(stop - begin, Fraction(max(one.delay for one in plan.delays)))
     parts, n = horizon / min(_steps(plan), default=horizon), len(plan.histories)
     # What is no longer seen is taken out when it is half; an array of Python has a head, and stands in lists.
     return 2 * float(parts) * (6 * n * FLOAT + (16 if is_native else 250))

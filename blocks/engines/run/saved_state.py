@@ -82,7 +82,7 @@ def fit(plan: Plan) -> dict[str, Any]:
         "discretes": _marked(plan.discretes, plan),
         **causes,
         "steppers": [part.path for part in plan.steppers],
-        "delays": [f"{history.name} ({history.delay!r} s)" for history in plan.histories],
+        "delays": [f"{one.name} ({its.delay!r} s)" for one, its in zip(plan.histories, plan.delays, strict=True)],
         "algebraic unknowns": [plan.node_name(plan.outputs[index]) for _, index in plan.unknowns],
         "rates": [f"{rate.offset} + n {rate.period}" for rate in plan.rates],
         "base step": [str(plan.base)],

@@ -163,7 +163,7 @@ def _check_past(rows: Mapping[str, Array], plan: Plan) -> None:
     is_whole = len(sizes) == 1 and 0 < len(breaks) == len(rows["past.orders"])
     if not is_whole or (passed > len(breaks)).any() or (passed.any() and not len(parts)):
         raise ValueError("its past is incomplete")
-    pairs = zip(plan.histories, passed.tolist(), strict=True)
+    pairs = zip(plan.delays, passed.tolist(), strict=True)
     following = [float(breaks[n]) + history.delay for history, n in pairs if n < len(breaks)]
     if (np.diff(breaks) < 0).any() or breaks[-1] > 2 * t - before or any(time < before for time in following):
         raise ValueError("its past breaks at times that are not possible")

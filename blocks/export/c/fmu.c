@@ -137,11 +137,6 @@ static void configure(Fmu *f)
     f->setup.plain_atol = model->plain_atol * share;
     for (int i = 0; i < model->nstates; i++) f->atol[i] = model->atol[i] * share;
     f->setup.longest = length / (model->nstates ? 50 : 1000);
-    if (model->shortest > 0) {
-        int is_shorter = f->setup.fixed.is_given || model->shortest < f->setup.longest;
-        if (is_shorter) f->setup.longest = model->shortest;
-    }
-    f->setup.scale = fmax(fabs(live->start), model->delay);
     f->setup.start = live->start;
     f->setup.end = live->has_stop ? live->stop : NAN;
     f->setup.fixed = model->setup->fixed;
@@ -321,7 +316,7 @@ static double drift(const Fmu *f, double t, double h)
 /* Whether t means this point of time: it is some ulp away, or what an importer's sum of steps may miss it by. */
 static int means(const Fmu *f, double point, double t, double miss)
 {
-    return fabs(point - t) <= miss || blocks_within_ulps(point, t, f->setup.scale);
+    return fabs(point - t) <= miss || blocks_within_ulps(point, t, f->sim->scale);
 }
 
 /* Find the tick of a rate that t means: its count in base steps. Return 0 if there is none. */

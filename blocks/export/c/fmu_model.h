@@ -43,7 +43,6 @@ typedef struct {
     const double *numbers, *tables;
     const char *const *texts, *const *state_names, *const *discrete_names, *const *cause_names, *const *names;
     double rtol, plain_atol, start, length; /* length: of the run that is exported, s */
-    double delay, shortest;                 /* the longest and the shortest history, s; 0: there is none */
     BlocksJacobian jacobian; /* of rates and outputs by states and real inputs */
 } FmuModel;
 

@@ -260,7 +260,7 @@ static void first_steps(Lanes *z)
 
 static void step_once(Lanes *z, BlocksBatch *b)
 {
-    const double longest = z->lanes[0].s->setup->longest;
+    const double longest = z->lanes[0].s->longest;
     Step step;
     if (lanes_any(z->flowing & ~(z->h > 0.0))) first_steps(z);
     V left = z->target - z->t, least = 16.0 * lanes_ulp(z->t);

@@ -357,7 +357,7 @@ static int step_to(BlocksSim *s, double target)
     const int is_first = s->carried[LENGTH] == 0.0;
     int rejected = 0;
     int32_t worst = 0;
-    h = fmax(fmin(h, s->setup->longest), least);
+    h = fmax(fmin(h, s->longest), least);
     r->is_fresh = 0;
 again:
     weigh(s, x);

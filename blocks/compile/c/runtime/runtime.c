@@ -293,12 +293,12 @@ static double delayed(const BlocksSim *s, int i, double t)
     const BlocksPast *past = &s->past;
     const BlocksHistory *history = &s->setup->histories[i];
     int64_t passed = past->passed[i], n = s->model->nh;
-    if (passed == 0) return history->before;
-    double begin = past->breaks[passed - 1], scale = s->setup->scale;
-    int at_begin = blocks_is_due_at(t, begin + history->delay, scale);
-    double then = at_begin ? begin : fmax(t - history->delay, begin);
+    if (passed == 0) return history->before_at < 0 ? history->before : s->memory.p[history->before_at];
+    double begin = past->breaks[passed - 1], scale = s->scale, delay = blocks_delay(s, i);
+    int at_begin = blocks_is_due_at(t, begin + delay, scale);
+    double then = at_begin ? begin : fmax(t - delay, begin);
     int64_t k = last_at(past->starts, past->known, then);
-    if (passed < past->broken && blocks_is_due_at(past->breaks[passed] + history->delay, t, scale)) {
+    if (passed < past->broken && blocks_is_due_at(past->breaks[passed] + delay, t, scale)) {
         then = past->breaks[passed];
         int64_t low = 0, high = past->known; /* the part that ends there */
         while (low < high) {
@@ -360,7 +360,7 @@ HOT static double next_delayed(const BlocksSim *s)
     double best = INFINITY;
     for (int i = 0; i < s->model->nh; i++)
         if (s->past.passed[i] < s->past.broken)
-            best = fmin(best, s->past.breaks[s->past.passed[i]] + s->setup->histories[i].delay);
+            best = fmin(best, s->past.breaks[s->past.passed[i]] + blocks_delay(s, i));
     return best;
 }
 
@@ -371,8 +371,8 @@ static int pass_breaks(BlocksSim *s, double t)
     BlocksPast *past = &s->past;
     for (int i = 0; i < s->model->nh; i++) {
         while (past->passed[i] < past->broken) {
-            double due = past->breaks[past->passed[i]] + s->setup->histories[i].delay;
-            if (!blocks_is_due_at(due, t, s->setup->scale)) break;
+            double due = past->breaks[past->passed[i]] + blocks_delay(s, i);
+            if (!blocks_is_due_at(due, t, s->scale)) break;
             int order = past->orders[past->passed[i]] + 1;
             if (s->setup->histories[i].echoes && order < past->seen) past->seen = order;
             past->passed[i]++;
@@ -538,7 +538,7 @@ static void phases_at(Parts *p, double theta, double *out)
     double t = part_time(p, theta);
     if (look->nphases) part_at(p, theta, look->phases, out);
     for (int i = 0; i < look->nhistories; i++) {
-        double then = t - p->s->setup->histories[look->histories[i]].delay;
+        double then = t - blocks_delay(p->s, look->histories[i]);
         int64_t k = last_at(past->starts, past->known, then);
         double in = k < 0 ? 0.0 : fmin((then - past->starts[k]) / (past->ends[k] - past->starts[k]), 1.0);
         out[look->nphases + i] = (k < 0 ? 0.0 : ((double)k + in) / 8);
@@ -723,7 +723,7 @@ void blocks_forget(BlocksSim *s, double t)
     double longest = 0.0;
     int64_t done = past->passed[0];
     for (int i = 0; i < n; i++) {
-        longest = fmax(longest, s->setup->histories[i].delay);
+        longest = fmax(longest, blocks_delay(s, i));
         if (past->passed[i] < done) done = past->passed[i];
     }
     int64_t old = last_at(past->ends, past->known, t - longest);
@@ -2898,12 +2898,12 @@ HOT static int instant(BlocksSim *s, int is_start)
     int32_t *due_events = (int32_t *)(void *)(s->ticks_backup + model->nrates + model->nh);
     int ndue = 0;
     for (int i = 0; i < model->nevents; i++)
-        if (blocks_within_ulps(s->events[i], s->t, setup->scale)) due_events[ndue++] = i;
+        if (blocks_within_ulps(s->events[i], s->t, s->scale)) due_events[ndue++] = i;
     int waiting = 0;
     if (model->hooks) ndue = model->hooks->postponed(s, due_events, ndue, &waiting);
     if (model->nh) broke = pass_breaks(s, s->t);
     double edge, broken = s->broken;
-    while (setup->ntracks && ((edge = next_input_break(s, broken)) <= s->t || blocks_within_ulps(edge, s->t, setup->scale))) broken = edge;
+    while (setup->ntracks && ((edge = next_input_break(s, broken)) <= s->t || blocks_within_ulps(edge, s->t, s->scale))) broken = edge;
     if (broken != s->broken) {
         s->broken = broken;
         blocks_inputs(s, fmax(s->t, broken));
@@ -3028,8 +3028,25 @@ void blocks_rows(BlocksSim *s)
     s->model->refresh(&s->memory);
 }
 
+/* What follows from the delays of this run. A step that is shorter than every delay, also when it is stretched a little,
+   needs no future. */
+static void take_delays(BlocksSim *s)
+{
+    double shortest = INFINITY;
+    s->longest = s->setup->longest;
+    s->scale = fabs(s->setup->start);
+    for (int i = 0; i < s->model->nh; i++) {
+        double delay = blocks_delay(s, i);
+        s->scale = fmax(s->scale, delay);
+        shortest = fmin(shortest, delay);
+    }
+    shortest /= 1.02;
+    if (s->model->nh && (s->setup->fixed.is_given || shortest < s->longest)) s->longest = shortest;
+}
+
 void blocks_reload(BlocksSim *s)
 {
+    take_delays(s);
     blocks_rows(s);
     blocks_inputs(s, fmax(s->t, s->broken));
     s->sides_t = NAN;
@@ -3134,6 +3151,7 @@ int blocks_begin(BlocksSim *s)
     const BlocksModel *model = s->model = s->setup->model;
     int nx = model->nx, nd = model->nd, ns = model->ns;
     double *out = s->stage_values;
+    take_delays(s);
     for (int r = 0; r < model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];
     model->prepare(&s->memory);
     blocks_inputs(s, s->t);
@@ -3214,7 +3232,7 @@ HOT static double next_instant(BlocksSim *s, double end, int64_t end_count, int3
     double edge = s->setup->ntracks ? next_input_break(s, s->broken) : INFINITY;
     if (s->model->nh) edge = blocks_smaller(edge, next_delayed(s));
     for (int i = 0; i < s->model->nevents; i++) edge = blocks_smaller(edge, s->events[i]);
-    if (edge < target && !blocks_within_ulps(edge, target, s->setup->scale)) {
+    if (edge < target && !blocks_within_ulps(edge, target, s->scale)) {
         s->target_exact = 0;
         return edge;
     }
@@ -3230,7 +3248,7 @@ int blocks_is_due(const BlocksSim *s)
         for (int r = 0; r < s->model->nrates; r++)
             if (tick_count(s, r) == s->count) return 1;
     for (int i = 0; i < s->model->nevents; i++)
-        if (blocks_within_ulps(s->events[i], s->t, s->setup->scale)) return 1;
+        if (blocks_within_ulps(s->events[i], s->t, s->scale)) return 1;
     return s->model->nh > 0;
 }
 

@@ -178,8 +178,8 @@ typedef struct {
 } BlocksEnabled;
 
 typedef struct {
-    double delay, before;
-    int32_t echoes;
+    double delay, before;         /* where they are no parameters */
+    int32_t delay_at, before_at, echoes; /* at: places in p; -1: none */
 } BlocksHistory;
 
 /* What is measured of e = of - against in a window: `of` and `against` are two values of `measured`. */
@@ -201,7 +201,7 @@ typedef struct {
     int32_t ncauses, nresets, nwaits, nbeside, ncliques, nnexts, nsteppers, nenabled, nintegers, ntracks, nmeasures;
     int64_t base_numerator, base_denominator;
     const double *atol; /* (nx) model order */
-    double rtol, plain_atol, longest, scale, end, start;
+    double rtol, plain_atol, longest, end, start; /* longest: step, without delays */
     BlocksGrid fixed, every;
     const BlocksCause *causes;
     const BlocksReset *resets; /* in the order in which they are applied */
@@ -309,6 +309,8 @@ struct BlocksSim {
     double h, error;   /* proposed step (0: none), last error */
     int64_t fixed;     /* number of the next point of the fixed-step grid */
     double broken;     /* the last input breakpoint passed */
+    double longest;    /* step */
+    double scale;      /* of times: the largest that others are computed from, whose rounding they carry along near 0 */
     int32_t outstanding, changed;
     int32_t crossing; /* whether a side has changed in the last step; 2: and projections have moved its end since */
     int32_t moving;    /* whether inputs or histories change with time now */
@@ -534,6 +536,12 @@ BLOCKS_INLINE double blocks_ulp(double x)
     return next - size;
 }
 
+BLOCKS_INLINE double blocks_delay(const BlocksSim *s, int i)
+{
+    const BlocksHistory *history = &s->setup->histories[i];
+    return history->delay_at < 0 ? history->delay : s->memory.p[history->delay_at];
+}
+
 /* Without NaN, and without a call. */
 BLOCKS_INLINE double blocks_larger(double a, double b) { return a > b ? a : b; }
 BLOCKS_INLINE double blocks_smaller(double a, double b) { return a < b ? a : b; }
@@ -558,7 +566,7 @@ BLOCKS_INLINE int blocks_is_due_at(double due, double t, double scale)
 /* Whether a row at `at` is that of an instant at t: where jumps have no rows of their own, a time has one value. */
 BLOCKS_INLINE int blocks_joins(const BlocksSim *s, double at, double t)
 {
-    return !s->setup->has_jumps && blocks_within_ulps(at, t, s->setup->scale);
+    return !s->setup->has_jumps && blocks_within_ulps(at, t, s->scale);
 }
 
 #endif

@@ -684,7 +684,7 @@ static int run(BlocksSim *s, double target)
             h = blocks_first_step(s, left);
             evaluations = s->evaluations;
         }
-        h = h < setup->longest ? h : setup->longest;
+        h = h < s->longest ? h : s->longest;
         h = h > least ? h : least;
 #if BLOCKS_METHOD_AUTO
         const int32_t hits = s->hits, calm = s->calm;
@@ -725,8 +725,8 @@ static int run(BlocksSim *s, double target)
 #else
         t1 = point;
         if (!(target - point > near)) t1 = point >= target || blocks_within_ulps(point, target, 0.0) ? target : point;
-        if (BLOCKS_NREMEMBERED && t1 - t > setup->longest) /* in equal parts that no delay is shorter than */
-            t1 = t + (t1 - t) / ceil((t1 - t) / setup->longest);
+        if (BLOCKS_NREMEMBERED && t1 - t > s->longest) /* in equal parts that no delay is shorter than */
+            t1 = t + (t1 - t) / ceil((t1 - t) / s->longest);
         step = t1 - t;
         step_of(s, m, moving, t, x, step, k, x1);
         evaluations += LAST;

@@ -393,7 +393,7 @@ static int is_seen(const MasterUnit *u)
     for (int r = 0; r < model->nrates && s->exact == 1; r++)
         if (rates[r] && s->setup->rates[r].offset + s->ticks[r] * s->setup->rates[r].period == s->count) return 1;
     for (int i = 0; i < model->nevents; i++)
-        if (events[i] && blocks_within_ulps(s->events[i], s->t, s->setup->scale)) return 1;
+        if (events[i] && blocks_within_ulps(s->events[i], s->t, s->scale)) return 1;
     int any = !s->crossing, is_known = s->sides_t == s->t;
     for (int j = 0; j < model->ns && s->crossing && is_known; j++) {
         if ((s->sides[j] >= 0) == (s->memory.s[j] > 0)) continue;
@@ -405,8 +405,8 @@ static int is_seen(const MasterUnit *u)
     for (int i = 0; i < model->nh; i++) {
         const BlocksPast *past = &s->past;
         if (!histories[i] || past->passed[i] >= past->broken || past->orders[past->passed[i]] >= BLOCKS_COURSE) continue;
-        double due = past->breaks[past->passed[i]] + s->setup->histories[i].delay;
-        if (blocks_is_due_at(due, s->t, s->setup->scale)) return 1;
+        double due = past->breaks[past->passed[i]] + blocks_delay(s, i);
+        if (blocks_is_due_at(due, s->t, s->scale)) return 1;
     }
     return 0;
 }
@@ -481,7 +481,7 @@ static int step_native(Master *m, MasterUnit *u, double t1)
     native_inputs(u, has_slopes);
     double next = CALL(Next, u, CALL_next)(s), goal = t1;
     /* A tick happens at its own time only; the edge of a delay happens at a point beside it. */
-    if (s->target_exact && blocks_within_ulps(next, t1, s->setup->scale)) goal = next;
+    if (s->target_exact && blocks_within_ulps(next, t1, s->scale)) goal = next;
     u->reached = t1;
     u->is_due = 0;
     while (s->t < goal) {
