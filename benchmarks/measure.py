@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from blocks.compile.toolchain.compiler import FLAGS as ENGINE_FLAGS
-from blocks.engines.native import model as native_model
+from blocks.engines.native import code
 
 __all__ = ["FOLDER", "Made", "Program", "compiler", "difference", "floors", "in_turn", "line", "native", "on_one_core"]
 
-native_model.QUICKLY = False  # a step is what is measured, not how soon the first one comes
+code.QUICKLY = False  # a step is what is measured, not how soon the first one comes
 
 Array = np.ndarray[Any, Any]
 FOLDER = Path(__file__).resolve().parent

@@ -40,9 +40,9 @@ def folder_left_as_found() -> Iterator[None]:
 def optimised(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let runs begin by optimised code, as long ones soon have it, where the native engine is tested, or at length."""
     if _IS_NATIVE or request.node.get_closest_marker("long"):
-        from blocks.engines.native import model
+        from blocks.engines.native import code
 
-        monkeypatch.setattr(model, "QUICKLY", False)
+        monkeypatch.setattr(code, "QUICKLY", False)
 
 
 @pytest.fixture

@@ -101,9 +101,9 @@ def compiled_model(what: Plan | Coupling, *, engine: str | None = None, lanes: A
 
 def _native(what: Plan | Coupling, inputs: InputTable, model: Any) -> Engine:
     if isinstance(what, Coupling):
-        from .master.native_master import NativeMaster, master_library
+        from .master.native_master import NativeMaster, master_code
 
-        return NativeMaster(what, inputs, _loaded, master_library())
+        return NativeMaster(what, inputs, _loaded, master_code())
     from .native.native_engine import NativeEngine
 
     return NativeEngine(what, inputs, foreign=_foreigns(what), model=model)

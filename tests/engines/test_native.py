@@ -550,7 +550,7 @@ def test_a_warning_stands_where_the_run_is_begun(master: dict[str, Any], monkeyp
 def test_a_unit_that_cannot_be_compiled_leaves_nothing_to_free(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is told where the engine that was begun is given up, but why the other one runs."""
 
-    def refuse(*given: Any) -> None:
+    def refuse(*given: Any, **how: Any) -> None:
         raise CompilerError(Fault("E601", "cc", "It cannot be compiled."))
 
     ignored: list[Any] = []

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram
+from blocks import Diagram, fmu
 from blocks.compile.toolchain import cache as caches
 from blocks.compile.toolchain.compiler import find_compiler, is_gcc
+from blocks.engines.native import code
 from blocks.engines.native import model as models
 from blocks.library import FirstOrder, Sine
 from blocks.text.errors import CompilerError, Fault
@@ -51,7 +52,7 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A cache without code, and nothing remembered from before."""
     monkeypatch.setenv(caches.VARIABLE, str(tmp_path / "cache"))
     monkeypatch.setattr(models, "_MODELS", {})
-    monkeypatch.setattr(models, "QUICKLY", True)
+    monkeypatch.setattr(code, "QUICKLY", True)
     return tmp_path / "cache"
 
 
@@ -66,16 +67,16 @@ def only_model() -> models.Model:
 
 
 def one_run(diagram: Diagram, monkeypatch: pytest.MonkeyPatch, *, quickly: bool, **words: Any) -> list[Any]:
-    monkeypatch.setattr(models, "QUICKLY", quickly)
+    monkeypatch.setattr(code, "QUICKLY", quickly)
     models._MODELS.clear()
     results = diagram.run(engine="native", **words)
-    assert only_model().is_optimised is not quickly
+    assert only_model().code.is_optimised is not quickly
     return bits(results)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_both_codes_compute_the_same_bits(method: str, fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(models, "PATIENCE", 1e9)
+    monkeypatch.setattr(code, "PATIENCE", 1e9)
     words = {"method": method, "step": METHODS[method]}
     quick = one_run(Diagram.from_json(LOOP), monkeypatch, quickly=True, **words)
     assert quick == one_run(Diagram.from_json(LOOP), monkeypatch, quickly=False, **words)
@@ -83,7 +84,7 @@ def test_both_codes_compute_the_same_bits(method: str, fresh: Path, monkeypatch:
 
 @pytest.mark.parametrize("name", ["adrc.json", "iadrc.json", "control_iadrc_sampled.json"])
 def test_the_robot_of_the_paper_has_the_same_bits(name: str, fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(models, "PATIENCE", 1e9)
+    monkeypatch.setattr(code, "PATIENCE", 1e9)
     diagram = Diagram.load(ROOT / "diagrams" / "paper" / name)
     names = diagram.check().inputs
     words: dict[str, Any] = {"stop": 10.0, "inputs": {name: 0.3 for name, *_ in names}}
@@ -95,24 +96,24 @@ def test_the_robot_of_the_paper_has_the_same_bits(name: str, fresh: Path, monkey
 def test_the_optimised_code_takes_over_in_the_midst_of_a_run(
     method: str, fresh: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(models, "PATIENCE", 0.0)
+    monkeypatch.setattr(code, "PATIENCE", 0.0)
     words = {"method": method, "step": METHODS[method]}
     run = Diagram.from_json(LOOP).start(engine="native", **words)
     run.advance_to(0.7)
     model = only_model()
-    assert not model.is_optimised
-    assert model._optimising is not None
-    model._optimising._thread.join()
+    assert not model.code.is_optimised
+    assert model.code._optimising is not None
+    model.code._optimising._thread.join()
     first = model.address
     run.advance_to(1.1)
-    assert model.is_optimised
+    assert model.code.is_optimised
     assert model.address != first
     run.advance_to(3.0)
     assert bits(run.finish()) == one_run(Diagram.from_json(LOOP), monkeypatch, quickly=False, **words)
 
 
 def test_a_run_that_is_found_to_be_stiff_goes_on_as_such(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(models, "PATIENCE", 0.0)
+    monkeypatch.setattr(code, "PATIENCE", 0.0)
     diagram = Diagram("stiff")
     slow = diagram.add("slow", FirstOrder(T=1e-4))
     wave = diagram.add("wave", Sine(omega=3.0))
@@ -123,17 +124,17 @@ def test_a_run_that_is_found_to_be_stiff_goes_on_as_such(fresh: Path, monkeypatc
         run = diagram.start(engine="native")
         run.advance_to(1.0)
         model = only_model()
-        if not model.is_optimised:
-            assert model._optimising is not None
-            model._optimising._thread.join()
+        if not model.code.is_optimised:
+            assert model.code._optimising is not None
+            model.code._optimising._thread.join()
         run.advance_to(4.0)
-        assert model.is_optimised
+        assert model.code.is_optimised
         return run.finish()
 
     results = parts()
     assert results.statistics.method.startswith("auto: radau from")
     models._MODELS.clear()
-    monkeypatch.setattr(models, "QUICKLY", False)
+    monkeypatch.setattr(code, "QUICKLY", False)
     assert bits(results) == bits(parts())
 
 
@@ -141,9 +142,9 @@ def test_rows_of_a_batch_and_prepared_models_run_by_optimised_code(fresh: Path) 
     diagram = Diagram.from_json(LOOP)
     diagram.run(engine="native", stop=0.1)
     model = only_model()
-    assert not model.is_optimised
+    assert not model.code.is_optimised
     diagram.prepare(engine="native").run(stop=0.1)
-    assert model.is_optimised
+    assert model.code.is_optimised
 
 
 def test_a_compiler_that_fails_later_leaves_the_run_as_it_is(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,26 +153,26 @@ def test_a_compiler_that_fails_later_leaves_the_run_as_it_is(fresh: Path, monkey
 
     expected = one_run(Diagram.from_json(LOOP), monkeypatch, quickly=False)
     monkeypatch.setenv(caches.VARIABLE, str(fresh / "other"))
-    monkeypatch.setattr(models, "PATIENCE", 0.0)
-    monkeypatch.setattr(models, "build", fails)
-    monkeypatch.setattr(models, "QUICKLY", True)
+    monkeypatch.setattr(code, "PATIENCE", 0.0)
+    monkeypatch.setattr(code, "build", fails)
+    monkeypatch.setattr(code, "QUICKLY", True)
     models._MODELS.clear()
     run = Diagram.from_json(LOOP).start(engine="native")
     for stop in (0.5, 1.0, 3.0):
         run.advance_to(stop)
-    assert not only_model().is_optimised
+    assert not only_model().code.is_optimised
     assert bits(run.finish()) == expected
 
 
 def test_a_process_that_ends_leaves_the_optimised_code(fresh: Path, tmp_path: Path) -> None:
     file = tmp_path / "loop.json"
     Diagram.from_json(LOOP).save(file)
-    program = "import sys, blocks.engines.native.model as m; m.PATIENCE, m.MOST_AT_END = 0.0, 60.0\n"
+    program = "import sys, blocks.engines.native.code as m; m.PATIENCE, m.MOST_AT_END = 0.0, 60.0\n"
     program += "from blocks import Diagram; Diagram.load(sys.argv[1]).run(engine='native')"
     subprocess.run([sys.executable, "-c", program, str(file)], check=True, cwd=ROOT)
     assert not [path.name for path in fresh.iterdir() if path.name.startswith(("tmp-", "failed-"))]
     Diagram.load(file).run(engine="native")
-    assert only_model().is_optimised
+    assert only_model().code.is_optimised
 
 
 def test_a_process_does_not_wait_long_for_a_compiler(fresh: Path, tmp_path: Path) -> None:
@@ -181,10 +182,35 @@ def test_a_process_does_not_wait_long_for_a_compiler(fresh: Path, tmp_path: Path
     asks = 'case "$*" in *--version*) ;; *-O2*) echo $$ >> ' + str(log) + "; sleep 60;; esac"
     slow.write_text(f'#!/bin/sh\n{asks}\nexec cc "$@"\n', encoding="utf-8")
     slow.chmod(0o755)
-    program = "import os, sys, blocks.engines.native.model as m; m.PATIENCE, m.MOST_AT_END = 0.0, 0.2\n"
+    program = "import os, sys, blocks.engines.native.code as m; m.PATIENCE, m.MOST_AT_END = 0.0, 0.2\n"
     program += f"os.environ['CC'] = {str(slow)!r}\n"
     program += "from blocks import Diagram; Diagram.load(sys.argv[1]).run(engine='native')"
     subprocess.run([sys.executable, "-c", program, str(file)], check=True, cwd=ROOT, timeout=30)
     assert log.read_text(encoding="utf-8").split()
     for number in log.read_text(encoding="utf-8").split():
         assert not Path("/proc", number).exists()
+
+
+def test_blocks_beside_an_fmu_go_on_by_optimised_code(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The FMU calls back into the master, whose code must stay what it was."""
+    monkeypatch.setattr(code, "PATIENCE", 0.0)
+
+    def whole(*, quickly: bool) -> list[Any]:
+        monkeypatch.setattr(code, "QUICKLY", quickly)
+        models._MODELS.clear()
+        diagram = Diagram.load(ROOT / "diagrams" / "motor_pid.json")
+        diagram.swap("motor", fmu(ROOT / "fmus" / "PMDCMotor.fmu"))
+        run = diagram.start(engine="native")
+        for part, stop in enumerate((0.4, 0.8, 2.0)):
+            run.advance_to(stop)
+            engine: Any = run._simulation.engine
+            own = [running.engine.model for running in engine.units if hasattr(running, "engine")]
+            assert own
+            assert all(each.code.is_optimised for each in own) is (not quickly or part > 0)
+            for each in (engine.code, *(model.code for model in own)):
+                if each._optimising is not None:
+                    each._optimising._thread.join()
+                    assert each._optimising.path is not None
+        return bits(run.finish())
+
+    assert whole(quickly=True) == whole(quickly=False)

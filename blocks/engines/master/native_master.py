@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import time
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from importlib.resources import files as resources
@@ -22,7 +23,7 @@ from ...compile.c.runtime_texts import RUNTIME, packaged
 from ...compile.c.structures import constants, structures
 from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Get, Link, Slot
 from ...compile.inputs import InputTable, Track
-from ...compile.toolchain.compiler import TranslationUnit, build, load
+from ...compile.toolchain.compiler import TranslationUnit
 from ...compile.upstream import changed_by, remembers_inputs
 from ...fmi.calls import ASKED, WARNING
 from ...fmi.instance import PATIENCE, some
@@ -56,6 +57,7 @@ from .stepped_units import (
 
 if TYPE_CHECKING:
     from ...compile.plan import Plan, Reference
+    from ..native.code import Code
     from ..native.model import Model
 
 _SPARE: list[tuple[Any, int]] = []  # memory for rows that no run has now
@@ -75,12 +77,18 @@ _OF_FMI, _OF_RUNTIME = _CALLS[: _IS.CALLS_OF_FMI], _CALLS[_IS.CALLS_OF_FMI :]
 _ROWS = {"k": _IS.CONSTANT, "u": _IS.INPUT, "y": _IS.ELEMENT}
 
 
-def master_library() -> ctypes.CDLL:
+def master_code() -> Code:
     """The compiled master, made once for each compiler. Raises CompilerError (E60x)."""
+    from ..native.code import Code
+
     headers = {**packaged("runtime.h", "model.h", "fmu_types.h"), "master.h": _HEADER, "limits.h": limits_header()}
     text = (_C / "master.c").read_text(encoding="utf-8")
     runtime = TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], packaged(*RUNTIME), is_shared=True)
-    library = load(build([runtime, TranslationUnit("master.c", text, headers, is_shared=True)]))
+    return Code([runtime, TranslationUnit("master.c", text, headers, is_shared=True)], _declare, is_quick=True)
+
+
+def _declare(library: ctypes.CDLL) -> None:
+    """Declare the types of its functions."""
     library.master_run.argtypes = [_P, _D]
     library.master_changed.argtypes, library.master_state_bytes.argtypes = [_P, ctypes.c_int], [_P]
     library.master_state_bytes.restype = _L
@@ -88,7 +96,6 @@ def master_library() -> ctypes.CDLL:
     sizes = [*(_L * len(_KINDS)).in_dll(library, "master_sizes")]
     if sizes != [ctypes.sizeof(kind) for kind in _KINDS]:
         raise AssertionError(f"the structures of the master do not match its header: {sizes}")
-    return library
 
 
 class CoreUnit(Running):
@@ -107,6 +114,7 @@ class CoreUnit(Running):
         self.given = np.zeros(max(len(unit.references), 1))
         self.can_save = not (self.plan.steppers or self.plan.foreign)
         self.engine.sim.keeps_past = 1
+        self.taken: ctypes.CDLL | None = None  # the library whose functions the master calls
 
     def start(self, t: float, stop: float | None) -> None:
         self.engine.stand_at_start()
@@ -162,15 +170,15 @@ class CoreUnit(Running):
 
 @final
 class NativeMaster(CoupledRun):
-    """A run of a Coupling by compiled code. library: the compiled master, as `master_library` gives it."""
+    """A run of a Coupling by compiled code. code: the compiled master, as `master_code` gives it."""
 
     name = "native"
 
     def __init__(
-        self, coupling: Coupling, inputs: InputTable, open_unit: Callable[[Any], Loaded], library: ctypes.CDLL
+        self, coupling: Coupling, inputs: InputTable, open_unit: Callable[[Any], Loaded], code: Code
     ) -> None:
         self._c: Any = None
-        self.library = library
+        self.code, self.library = code, code.library
         super().__init__(coupling, inputs, open_unit)
         # Compiled here, and kept, so that a compiler that fails does so before anything runs.
         self.models = [self._model(unit.plan) for unit in coupling.units if unit.plan is not None]
@@ -178,7 +186,7 @@ class NativeMaster(CoupledRun):
     def _model(self, plan: Plan) -> Model:
         from ..native.model import model_of
 
-        return model_of(plan, plan.log, plan.settings.method)
+        return model_of(plan, plan.log, plan.settings.method, is_quick=True)
 
     def _clear(self) -> None:
         self._free()
@@ -377,9 +385,7 @@ class NativeMaster(CoupledRun):
 
     def _c_native(self, c_unit: Any, running: CoreUnit, seen: frozenset[Reference]) -> None:
         c_unit.kind, c_unit.way, c_unit.component = _IS.NATIVE, _IS.EXACT, running.engine.address
-        library = running.engine.model.library
-        for place, name in enumerate(_OF_RUNTIME, start=len(_OF_FMI)):
-            c_unit.calls[place] = ctypes.cast(getattr(library, f"blocks_{name}"), _P).value
+        self._c_code(c_unit, running)
         n = c_unit.ninputs
         c_unit.terms = c_unit.polynomials.terms = self._array(np.zeros(4 * max(n, 1)))
         c_unit.track = running.row.ctypes.data
@@ -392,6 +398,20 @@ class NativeMaster(CoupledRun):
         size = c_unit.saved_bytes = self.library.master_state_bytes(ctypes.byref(c_unit))
         for whose in range(len(c_unit.saved)):
             c_unit.saved[whose] = self._array(np.zeros(size // 8 + 2))
+
+    def _c_code(self, c_unit: Any, running: CoreUnit) -> None:
+        library = running.taken = running.engine.take_code()
+        for place, name in enumerate(_OF_RUNTIME, start=len(_OF_FMI)):
+            c_unit.calls[place] = ctypes.cast(getattr(library, f"blocks_{name}"), _P).value
+
+    def _hurry(self, seconds: float) -> None:
+        """Let blocks go on by optimised code if it is there. The master keeps its own, as FMUs call back into it."""
+        self.code.hurry(seconds)
+        for c_unit, running in zip((MasterUnit * self._c.nunits).from_address(self._c.units), self.units, strict=False):
+            if isinstance(running, CoreUnit):
+                running.engine.model.code.hurry(seconds)
+                if running.taken is not running.engine.model.library:
+                    self._c_code(c_unit, running)
 
     def _c_follows(self, c_unit: Any, running: CoreUnit, seen: frozenset[Reference]) -> None:
         """What instants of a unit must change to be seen outside, and what its outputs follow."""
@@ -469,12 +489,14 @@ class NativeMaster(CoupledRun):
         with self._ending():
             if self.over is not None:
                 return True
+            begun = time.perf_counter()
             try:
                 status = self.library.master_run(ctypes.byref(self._c), float(stop))
             finally:
                 self._take_over()
             if status == _IS.FAILED:
                 self._failed()
+            self._hurry(time.perf_counter() - begun)
             for running in self.units:  # an exception that was put off while an FMU called back
                 if isinstance(running, FmuUnit):
                     running.one.raise_inside()

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import ctypes
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,10 +22,11 @@ from ...compile.c.runtime_tables import RuntimeTables
 from ...compile.c.runtime_texts import RUNTIME, loop_units, packaged, stiff_units
 from ...compile.plan import Node, Plan, Reference
 from ...compile.tableaus import STIFF
-from ...compile.toolchain.compiler import TranslationUnit, build, build_quickly, end_builds, load
+from ...compile.toolchain.compiler import TranslationUnit
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
+from .code import Code
 
 if TYPE_CHECKING:
     from ...compile.c.lane_code import Machine
@@ -40,10 +39,6 @@ Entry = tuple[int, int | None, int, Any, int]
 """A part of a run's memory: its place and that of its count, in bytes from the start of the run; its size, kind and
 flags."""
 EXTRA_FLAGS: tuple[str, ...] = ()  # of the compiler, such as sanitizers in tests
-QUICKLY = True  # whether runs may begin by code without optimisation; benchmarks of steps say no
-PATIENCE = 0.05
-"""s; what has run so long without optimisation is worth a compiler's time."""
-MOST_AT_END = 3.0  # s that a process waits at its end for a compiler
 LARGE = 10_000
 """From so many operations on, the equations of one block may be why a compiler fails."""
 
@@ -52,7 +47,7 @@ def model_of(
     plan: Plan, log: tuple[str, ...], method: str, *, lanes: Machine | None = None, is_quick: bool = False
 ) -> Model:
     """The model of a Plan, made once for plans that differ in values alone. lanes: of what machine its runs are made
-    side by side too. is_quick: it may be one that `Model.hurry` makes faster. Raises CompilerError (E60x)."""
+    side by side too. is_quick: its code may be one that `Code.hurry` makes faster. Raises CompilerError (E60x)."""
     windows = tuple((spec.type, spec.start, spec.stop, spec.omega) for spec in plan.measures)
     measured, logged = Measures(plan).references, [ref for name in log for ref in plan.signal(name).references]
     digest = plan_key(plan, measured, logged, method)
@@ -124,43 +119,25 @@ class Model(RuntimeTables):
         self._of_settings: tuple[object, object, int] | None = None  # of the last run
         self.spare: list[Any] = []  # memory for rows that no run has now
         self.entries: dict[str, Entry] = {}  # of the memory of its runs; empty before the first of them
-        self._plan, self._units, self._filled = plan, units, made.filled
-        self._slow_seconds = 0.0  # that code without optimisation has run
-        self._optimising: Optimising | None = None
+        self._plan, self._filled = plan, made.filled
         with _largest_named(plan):
-            quick = build_quickly(units, extra_flags=EXTRA_FLAGS) if is_quick and QUICKLY else None
-            path, self.is_optimised = quick or (self._built(), True)
-        self._load(path)
+            self.code = Code(units, self._prepare, extra_flags=EXTRA_FLAGS, is_quick=is_quick)
 
-    def _built(self) -> Path:
-        return build(self._units, extra_flags=EXTRA_FLAGS)
-
-    def _load(self, path: Path) -> None:
-        """Take the code of a library. Runs under way go on by that of the old one, or by that of both."""
-        library = _prepared(load(path), has_batch=not self._plan.foreign, has_lanes=self.lanes is not None)
+    def _prepare(self, library: ctypes.CDLL) -> None:
+        _declare(library, has_batch=not self._plan.foreign, has_lanes=self.lanes is not None)
         if self._filled:
             ctypes.memmove(library["blocks_filled"], self._filled, len(self._filled))
-        self.library = library
         self.address = ctypes.cast(library["blocks_model"], ctypes.c_void_p).value
+
+    @property
+    def library(self) -> ctypes.CDLL:
+        """The compiled code."""
+        return self.code.library
 
     def optimise(self) -> None:
         """Take the optimised code now. Raises CompilerError (E60x)."""
-        if not self.is_optimised:
-            with _largest_named(self._plan):
-                path = self._built()
-            self._load(path)
-            self.is_optimised = True
-
-    def hurry(self, seconds: float) -> None:
-        """Take the optimised code if it is there; begin to make it, in a thread, once the code without optimisation has
-        run for a while. seconds: that it has run since this was asked last."""
-        self._slow_seconds += seconds
-        if self._optimising is None:
-            if self._slow_seconds >= PATIENCE:
-                self._optimising = Optimising(self._built)
-        elif (path := self._optimising.path) is not None and not self.is_optimised:
-            self._load(path)
-            self.is_optimised = True
+        with _largest_named(self._plan):
+            self.code.optimise()
 
     @cached_property
     def setup(self) -> object:
@@ -226,31 +203,6 @@ def _sides(plan: Plan) -> list[Node | Reference]:
     return [begins[k] for k in sorted(begins)]
 
 
-class Optimising:
-    """A thread that compiles. path: of the library, once it is there; a compiler that fails leaves the slower code."""
-
-    def __init__(self, built: Callable[[], Path]) -> None:
-        self.path: Path | None = None
-        self._thread = threading.Thread(target=self._compile, args=(built,), name="blocks-compiler", daemon=True)
-        self._thread.start()
-        atexit.register(self._wait)
-
-    def _compile(self, built: Callable[[], Path]) -> None:
-        try:
-            with contextlib.suppress(CompilerError):
-                self.path = built()
-        finally:
-            atexit.unregister(self._wait)
-
-    def _wait(self) -> None:
-        """Let the compiler finish before this process ends, so that the next one finds its code."""
-        with contextlib.suppress(KeyboardInterrupt):
-            self._thread.join(MOST_AT_END)
-        if self._thread.is_alive():
-            end_builds()
-            self._thread.join(1.0)
-
-
 @contextlib.contextmanager
 def _largest_named(plan: Plan) -> Iterator[None]:
     """Where the compiler fails, the error also names the largest equations."""
@@ -266,8 +218,8 @@ def _largest_named(plan: Plan) -> Iterator[None]:
         raise CompilerError(replace(fault, message=message)) from None
 
 
-def _prepared(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> ctypes.CDLL:
-    """The library with the types of its functions. A mismatch of structures is a defect of this package.
+def _declare(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> None:
+    """Declare the types of its functions. A mismatch of structures is a defect of this package.
 
     has_batch: one that FMUs take part in has no batch. has_lanes: whether it was compiled with lanes.
     """
@@ -307,4 +259,3 @@ def _prepared(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> ctyp
     sizes = [*(c.c_int64 * 3).in_dll(library, "blocks_sizes")]
     if sizes != [c.sizeof(runtime_layout.STRUCTURES[f"Blocks{name}"]) for name in ("Sim", "Setup", "Memory")]:
         raise AssertionError(f"the structures of the runtime do not match its headers: {sizes}")
-    return library

@@ -209,11 +209,10 @@ class NativeEngine:
         if self._foreign is not None:
             self._foreign.listen()
         end, model, begun = float(stop), self.model, time.perf_counter()
-        self._handle.setup.model = model.address
+        library = self.take_code()
         with self._hearing():
-            status = self._call(model.library.blocks_advance, self.address, end, 0, 2)
-        if not model.is_optimised:
-            model.hurry(time.perf_counter() - begun)
+            status = self._call(library.blocks_advance, self.address, end, 0, 2)
+        model.code.hurry(time.perf_counter() - begun)
         if self.sim.exact == 2 and self.sim.t == end and not self.sim.outstanding:
             self._stop_exact = stop
         if status in (_DONE, _PAUSED) and self.over is not None:
@@ -226,6 +225,11 @@ class NativeEngine:
         if status != _PAUSED:
             self.fail()
         return self.over is not None
+
+    def take_code(self) -> ctypes.CDLL:
+        """Return the code of the model, by which the run goes on."""
+        self._handle.setup.model = self.model.address
+        return self.model.library
 
     def pause(self, every: float, at: float) -> None:
         self.sim.slice, self.sim.soft = every, at

@@ -1,0 +1,93 @@
+"""Compiled code of a run, which may begin without optimisation and becomes faster on the way."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ...compile.toolchain.compiler import TranslationUnit, build, build_quickly, end_builds, load
+from ...text.errors import CompilerError
+
+QUICKLY = True  # whether runs may begin by code without optimisation; benchmarks of steps say no
+PATIENCE = 0.05
+"""s; what has run so long without optimisation is worth a compiler's time."""
+MOST_AT_END = 3.0  # s that a process waits at its end for a compiler
+
+
+class Code:
+    """The library of some units. prepare: called with each library that is loaded, before it is used.
+
+    is_quick: it may begin with code that is compiled in a quarter of the time, and computes the same bits, unless the
+    cache has the optimised one. Raises CompilerError (E60x).
+    """
+
+    library: ctypes.CDLL
+
+    def __init__(
+        self,
+        units: Sequence[TranslationUnit],
+        prepare: Callable[[ctypes.CDLL], None],
+        *,
+        extra_flags: Sequence[str] = (),
+        is_quick: bool = False,
+    ) -> None:
+        self._units, self._prepare, self._extra_flags = units, prepare, extra_flags
+        self._slow_seconds = 0.0  # that code without optimisation has run
+        self._optimising: Optimising | None = None
+        quick = build_quickly(units, extra_flags=extra_flags) if is_quick and QUICKLY else None
+        path, is_optimised = quick or (self._built(), True)
+        self._take(path, is_optimised=is_optimised)
+
+    def _built(self) -> Path:
+        return build(self._units, extra_flags=self._extra_flags)
+
+    def _take(self, path: Path, *, is_optimised: bool = True) -> None:
+        """Take the code of a library. Runs under way go on by it, or by the old one, which stays loaded."""
+        library = load(path)
+        self._prepare(library)
+        self.library, self.is_optimised = library, is_optimised
+
+    def optimise(self) -> None:
+        """Take the optimised code now. Raises CompilerError (E60x)."""
+        if not self.is_optimised:
+            self._take(self._built())
+
+    def hurry(self, seconds: float) -> None:
+        """Take the optimised code if it is there; begin to make it, in a thread, once the code without optimisation has
+        run for a while. seconds: that it has run since this was asked last."""
+        if self.is_optimised:
+            return
+        self._slow_seconds += seconds
+        if self._optimising is None and self._slow_seconds >= PATIENCE:
+            self._optimising = Optimising(self._built)
+        elif self._optimising is not None and self._optimising.path is not None:
+            self._take(self._optimising.path)
+
+
+class Optimising:
+    """A thread that compiles. path: of the library, once it is there; a compiler that fails leaves the slower code."""
+
+    def __init__(self, built: Callable[[], Path]) -> None:
+        self.path: Path | None = None
+        self._thread = threading.Thread(target=self._compile, args=(built,), name="blocks-compiler", daemon=True)
+        self._thread.start()
+        atexit.register(self._wait)
+
+    def _compile(self, built: Callable[[], Path]) -> None:
+        try:
+            with contextlib.suppress(CompilerError):
+                self.path = built()
+        finally:
+            atexit.unregister(self._wait)
+
+    def _wait(self) -> None:
+        """Let the compiler finish before this process ends, so that the next one finds its code."""
+        with contextlib.suppress(KeyboardInterrupt):
+            self._thread.join(MOST_AT_END)
+        if self._thread.is_alive():
+            end_builds()
+            self._thread.join(1.0)
