@@ -350,7 +350,22 @@ class _Coupler:
             None if self.ending is None else self.used[self.ending],
         )  # fmt: skip
         self.check_steps(coupling)
-        return coupling
+        return replace(coupling, warnings=(*coupling.warnings, *self.chosen_step(coupling)))
+
+    def chosen_step(self, coupling: Coupling) -> Iterator[Fault]:
+        """Warn if nothing but the times of the run decides how far signals are extrapolated."""
+        master, units = self.master, coupling.units
+        is_told = master.step is not None or any(_told_step(foreign) is not None for foreign in self.fmus())
+        chosen = [unit.step for unit in units if unit.path not in master.steps]
+        is_moving = any(not coupling.elements[g].held for g in coupling.exchanged)
+        if is_told or master.tolerance is not None or not chosen or not is_moving:
+            return
+        times = ["the length of the run"] * (self.settings.stop is not None)
+        times += ["every"] * (self.settings.every is not None)
+        by = f", which follows from {' and '.join(times)}" if times else ""
+        message = f"is not given: the step is {float(min(chosen)):g} s{by}. The results depend on it."
+        cure = 'Set "step" or "tolerance" in "run": {"master": ...} (--master step=H).'
+        yield Fault("W211", "run.master.step", message, cure)
 
     def collect(self) -> None:
         """Every element that is exchanged, recorded or measured."""

@@ -227,7 +227,7 @@ def test_an_fmu_ends_the_run_in_an_event_and_at_the_start(fmi: int, engine: str,
         assert results.t[-1] == pytest.approx(t, abs=1e-12)
         assert len(results.t) == (1 if t == 0 else 6)
         assert results["plant.y"] == pytest.approx(results.t + 5.0, abs=1e-9)  # x' = 1, y = x + 5 u
-        (told,) = results.warnings
+        (told,) = [warning for warning in results.warnings if warning.code != "W211"]
         assert told.message.startswith(f"faulty.fmu ended the run at t = {t:g} s.")
 
 

@@ -358,6 +358,32 @@ def test_where_nobody_says_how_long_steps_are_a_run_has_some_hundred() -> None:
     assert [unit.step for unit in made.units] == [Fraction(1, 50)] * 2
 
 
+@each_engine
+def test_a_step_that_follows_from_the_times_of_the_run_is_reported(engine: str) -> None:
+    made, own = two_masses(), {"couple": "each"}
+    coarse = made.run(stop=10, every=0.1, engine=engine, master=own, **TIGHT)
+    fine = made.run(stop=10, every=0.015, engine=engine, master=own, **TIGHT)
+    assert [str(warning) for warning in fine.warnings] == [
+        "W211 run.master.step: is not given: the step is 0.015 s, which follows from the length of the run and every. "
+        'The results depend on it. Set "step" or "tolerance" in "run": {"master": ...} (--master step=H).'
+    ]
+    end = coarse.names[0]
+    given = made.run(stop=10, every=0.1, engine=engine, master={**own, "step": 0.02}, **TIGHT)
+    assert given.warnings == ()
+    assert given[end][-1] == coarse[end][-1] != fine[end][-1]
+    assert [w.code for w in made.run(stop=10, engine=engine, master=own).warnings] == ["W211"]
+    for words in ({"tolerance": 1e-4}, {"steps": {"a": 0.02, "b": 0.02}}):
+        assert made.run(stop=1, engine=engine, master={**own, **words}).warnings == ()
+
+
+def test_a_step_over_which_nothing_is_extrapolated_is_not_reported() -> None:
+    made = Diagram("held")
+    hold, total = made.add("hold", ZeroOrderHold(period=0.25)), made.add("total", Integrator())
+    made.wire(hold.u, made.input("u", default=1.0))
+    made.wire(total.u, hold.y)
+    assert made.run(stop=1, every=0.1, master={"couple": "each"}).warnings == ()
+
+
 # --- held signals and jumps ------------------------------------------------------------------------------------
 
 

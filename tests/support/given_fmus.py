@@ -250,6 +250,11 @@ def refuses_derivatives(folder: Path, patch: pytest.MonkeyPatch) -> None:
     make(folder, fmi=2, name="plant", defines=("TAKES_ORDER=0",))
 
 
+@given("W211")
+def is_for_co_simulation(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    plant(folder)
+
+
 @given("W209")
 def takes_steps_of_one_size(folder: Path, patch: pytest.MonkeyPatch) -> None:
     make(folder, fmi=2, name="plant", any_step=False)

@@ -406,7 +406,7 @@ class CoupledRun(Exchange, ABC):
         events: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
         measures, uncovered = measured(self.plan, self._points())
         warnings = (
-            *(fault for fault in self.plan.warnings if fault.code == "W209"),  # the run ends before its stop
+            *(fault for fault in self.plan.warnings if fault.code in ("W209", "W211")),  # the run's end and steps
             *(told for unit in self.units for told in unit.warnings()), *self.late.values(), *self.grown.values(),
             *uncovered,
         )  # fmt: skip
