@@ -288,7 +288,6 @@ class Timer(Block):
     u = Input(type="bool", doc="whether the time counts")
     began = Discrete(unit="s", doc="time at which u became true")
     running = Discrete(type="bool", doc="whether u is true")
-    finished = Discrete(unit="s", doc="began of the last time for which u was true for the duration")
 
     @began.initial
     def begins(t):
@@ -314,17 +313,15 @@ class Timer(Block):
     def due(t, began, running, duration):
         return np.where(running & (t < began + duration), began + duration, np.inf)
 
-    @finished.initial
-    def never(t):
-        return t - 1.0
-
-    @due.reset(finished)
-    def finish(began):
-        return began
+    # A crossing, not a discrete that `due` resets: it also holds if the duration is lost in the digits of t, or differs
+    # from that of the state with which a run begins. It reads u, so that a u that ends at `due` does not finish.
+    @crossing
+    def finished(t, u, began, running, duration):
+        return np.where(running & u, t - (began + duration), -1.0)
 
     @output(type="bool", doc="whether u has been true for the duration")
-    def done(began, running, finished):
-        return running & (finished == began)
+    def done(running, finished):
+        return running & finished
 
     @output(unit="s", doc="time since u became true")
     def elapsed(t, began, running):

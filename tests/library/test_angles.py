@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from blocks import (
     CompareToConstant,
     Constant,
+    Counter,
     Diagram,
     Encoder,
     Expression,
@@ -20,6 +21,7 @@ from blocks import (
     Ramp,
     Sine,
     SquareWave,
+    Step,
     Timer,
     Unwrap,
     Wrap,
@@ -124,6 +126,42 @@ def test_a_pulse_has_to_be_longer_than_the_duration(width: float, done: bool) ->
     after = results["timer.done"][results.t > 1.0]
     assert bool(after.any()) is done
     assert results["timer.done"][-1] == 0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("duration", [1e-20, 1e-14, 1e-9])
+def test_a_duration_that_is_lost_in_the_digits_of_t_is_over_at_once(duration: float, engine: str) -> None:
+    d = Diagram("d")
+    timer, on = d.add("timer", Timer(duration=duration)), d.add("on", CompareToConstant())
+    d.wire(on.u, d.add("step", Step(at=1000, before=-1.0)).y)
+    d.wire(timer.u, on.y)
+    results = d.run(start=999, stop=1001, every=0.5, engine=engine)
+    assert list(results["timer.done"]) == [0, 0, 1000 + duration == 1000, 1, 1]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("width", [0.25, 0.375])
+def test_nothing_behind_a_timer_sees_a_pulse_of_its_duration(width: float, engine: str) -> None:
+    d = Diagram("d")
+    timer, on = d.add("timer", Timer(duration=0.25)), d.add("on", CompareToConstant(operator=">", constant=0.5))
+    d.wire(on.u, d.add("pulse", Pulse(on=1, off=1 + width)).y)
+    d.wire(timer.u, on.y)
+    d.wire(d.add("count", Counter()).u, timer.done)
+    assert d.run(stop=3, engine=engine)["count.y"][-1] == (width > 0.25)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("before", [0.25, 0.75])
+def test_a_run_goes_on_with_another_duration(before: float, engine: str) -> None:
+    d = Diagram("d")
+    timer = d.add("timer", Timer(duration=before))
+    d.wire(timer.u, d.add("on", CompareToConstant()).y)
+    d.wire("on.u", d.add("one", Constant()).y)
+    run = d.start(stop=2, engine=engine)
+    run.advance_to(0.5)
+    for duration in (0.125, 0.25, 0.5, 0.625, 0.75, 1.0):
+        rest = d.run(stop=2, every=0.125, resume=run.snapshot(), parameters={"timer.duration": duration}, engine=engine)
+        assert list(rest["timer.done"]) == list(rest.t >= duration), duration
 
 
 @pytest.mark.parametrize("engine", ENGINES)
