@@ -63,12 +63,13 @@ MEASURES = {
     "steady_state_error": "|e| at the end of the window",
     "THD": "total harmonic distortion: RMS of all of e but its mean and its fundamental, by that of its fundamental",
     "zero_crossings": "how many times e changes its sign",
+    "end_time": "t at the end of the window: of a run that a condition ends, the time of its end; e is not read",
 }
 """What a measure can be; e is `of` minus `against`."""
 MEASURE_UNITS = {
     "ITAE": (1, 2), "IAE": (1, 1), "ISE": (2, 1), "ISU": (2, 1), "mean_square": (2, 0), "peak": (1, 0),
     "settling_time": (0, 1), "total_variation": (1, 0), "RMS": (1, 0), "rise_time": (0, 1),
-    "steady_state_error": (1, 0),
+    "steady_state_error": (1, 0), "end_time": (0, 1),
 }  # fmt: skip
 """The unit of a measure as powers of that of e and of s; others have none."""
 MEASURE_NUMBERS = {"against": "", "from": "s", "to": "s", "band": "", "omega": "rad/s"}

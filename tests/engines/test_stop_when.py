@@ -209,6 +209,35 @@ def test_a_run_goes_on_with_another_condition_that_has_mod(engine, tmp_path):
             assert d.run(stop=1, resume=state, engine=engine).t[-1] == 1
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_measure_has_the_time_of_the_end(engine):
+    d = falling()
+    d.measure("ended", "end_time", of="speed.y")
+    d.measure("early", "end_time", of="speed.y", start=0.25, stop=0.5)
+    d.measure("never", "end_time", of="speed.y", stop=3.0)
+    results = d.run(stop=4, stop_when="height.y <= 0", engine=engine, every=0.3)
+    assert results.measures["ended"] == results.t[-1] == pytest.approx(FALL, abs=1e-12)
+    assert results.measures["early"] == 0.5
+    assert math.isnan(results.measures["never"])
+    assert [fault.place for fault in results.warnings if fault.code == "W301"] == ["measures.late", "measures.never"]
+    whole = d.run(stop=4, engine=engine)
+    assert (whole.measures["ended"], whole.measures["never"]) == (4.0, 3.0)
+    at_once = d.run(start=1, stop=4, stop_when="height.y <= 10", engine=engine)
+    assert (len(at_once.t), at_once.measures["ended"]) == (1, 1.0)
+    coupled = d.run(stop=4, stop_when="height.y <= 0", engine=engine, master={"couple": "each", "step": 0.01})
+    assert coupled.measures["ended"] == coupled.t[-1] == pytest.approx(FALL, abs=0.01)
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("lanes", ["exact", "fast"])
+def test_a_sweep_has_the_time_at_which_each_row_ended(lanes):
+    d, pulls = falling(), np.array([-9.81, -5.0, -1.0, -20.0])
+    d.measure("ended", "end_time", of="height.y")
+    rows = d.batch(["pull.k"], stop=3, stop_when="height.y <= 0", lanes=lanes)(pulls[:, None])
+    assert rows.measures["ended"] == pytest.approx(np.minimum(np.sqrt(2 * HEIGHT / -pulls), 3.0), abs=1e-12)
+    assert d.sweep({"pull.k": pulls}, stop=3).units["ended"] == "s"
+
+
 def test_a_point_of_a_run_may_lie_behind_the_end():
     d = falling()
     assert d.point(at=2.0, stop_when="height.y <= 5", stop=5).t == 2.0

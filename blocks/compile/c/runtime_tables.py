@@ -61,7 +61,7 @@ SETUP = (
 
 MEASURES = {
     "ISE": 0, "ISU": 0, "mean_square": 0, "RMS": 0, "IAE": 1, "ITAE": 2, "THD": 3, "peak": 4, "total_variation": 5,
-    "overshoot": 6, "settling_time": 7, "rise_time": 8, "zero_crossings": 9, "steady_state_error": 10,
+    "overshoot": 6, "settling_time": 7, "rise_time": 8, "zero_crossings": 9, "steady_state_error": 10, "end_time": 10,
 }  # fmt: skip
 """What the runtime takes in for each type of measure, as runtime.h numbers it."""
 

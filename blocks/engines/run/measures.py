@@ -349,6 +349,8 @@ class Measures:
                 why = _without(value, "its signal does not go from 10 to 90 % of the step")
             elif spec.type == "steady_state_error":
                 value = abs(self.last[i])
+            elif spec.type == "end_time":
+                value = min(t, spec.stop)
             elif spec.type == "overshoot":
                 value = self._overshoot(i)
             elif spec.type == "settling_time":
@@ -435,7 +437,7 @@ def _uncovered(spec: MeasureSpec, first: float | None, span: float, t: float) ->
     edge, verb = (spec.stop, "ends") if has_end else (spec.start, "begins")
     if (edge > t and not within_ulps(edge, t)) or (edge == t and not has_end):
         return f"its window {verb} at t = {edge:.10g} s, and the run ends at {t:.10g} s"
-    return "" if span > 0.0 else "no time of its window lies within the run"
+    return "" if span > 0.0 or spec.type == "end_time" else "no time of its window lies within the run"
 
 
 def _known(record: Array) -> tuple[float, Array]:
