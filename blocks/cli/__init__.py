@@ -149,7 +149,9 @@ def _run(given: list[str]) -> int:
 
 def _told(given: list[str], error: BlocksError) -> int:
     """Report an error; returns the exit code."""
-    tell_faults(error.faults, "--json" in given)
+    from .option_values import with_lines
+
+    tell_faults(with_lines(error.faults, given), "--json" in given)
     return error.exit_status
 
 

@@ -13,6 +13,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from ..host.plain_files import opened
+from ..text.element_names import matching
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.quantity_text import value_in
 
@@ -80,6 +81,15 @@ def assignments(option: str, items: Sequence[str], example: str) -> dict[str, An
 
 def _pairs(option: str, path: str) -> Iterator[str]:
     """Yield the rows name, value and maybe unit of a CSV file as NAME=VALUE; a header "name,value" may be first."""
+    for line, cells in _rows(option, path):
+        if not 2 <= len(cells) <= 3 or not cells[0]:
+            what, cure = "is not a name, a value and maybe a unit.", "Write one row for each value: motor.Ra,200,mOhm"
+            raise UsageError(Fault("E501", f"{option} @{path}:{line}", what, cure))
+        yield f"{cells[0]}={' '.join(filter(None, cells[1:]))}"
+
+
+def _rows(option: str, path: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of a CSV file of values with the numbers of their lines."""
     try:
         with opened(path) as file:
             data = file.read(_LARGEST + 1)
@@ -91,12 +101,22 @@ def _pairs(option: str, path: str) -> Iterator[str]:
     for line, row in rows:
         cells = [cell.strip() for cell in row]
         is_header = line == 1 and [cell.lower() for cell in cells[:2]] == ["name", "value"]
-        if not any(cells) or cells[0].startswith("#") or is_header:
-            continue
-        if not 2 <= len(cells) <= 3 or not cells[0]:
-            what, cure = "is not a name, a value and maybe a unit.", "Write one row for each value: motor.Ra,200,mOhm"
-            raise UsageError(Fault("E501", f"{option} @{path}:{line}", what, cure))
-        yield f"{cells[0]}={' '.join(filter(None, cells[1:]))}"
+        if any(cells) and not cells[0].startswith("#") and not is_header:
+            yield line, cells
+
+
+def with_lines(faults: Sequence[Fault], given: Sequence[str]) -> list[Fault]:
+    """Return faults of values that a command line takes from files (--set @FILE) with their files and lines."""
+    lines: dict[str, tuple[str, int]] = {}
+    for path in [text.removeprefix("--set=")[1:] for text in given if text.startswith(("@", "--set=@"))]:
+        with contextlib.suppress(UsageError):  # which is among the faults
+            lines |= {cells[0]: (path, line) for line, cells in _rows("--set", path)}
+    placed = []
+    for fault in faults:
+        place = fault.place.removeprefix("--set ").partition("=")[0]
+        name = next((name for name in lines if name == place or matching(name, [place])), "")
+        placed.append(fault.at(*lines[name], 1) if name and not fault.line else fault)
+    return placed
 
 
 def _parsed(place: str, text: str) -> object:

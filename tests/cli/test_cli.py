@@ -1335,8 +1335,11 @@ def test_parameters_come_from_a_csv_file(tmp_path: Path, capsys: pytest.CaptureF
     assert lines[0] == lines[1]
     for text, said in (
         ("motor.Ra", ":1: is not a name, a value and maybe a unit. Write one row for each value: motor.Ra,200,mOhm"),
-        ("kp,1\nkp,2", "E501 --set kp=2: gives kp a second value."),
-        ("kq,1", "E106 kq"),
+        ("kp,1\nkp,2", f"E501 {path}:2:1 --set kp=2: gives kp a second value."),
+        ('# gains\nkp,"1,2"', f"E501 {path}:2:1 --set kp: '1,2' is not a number"),
+        ("kp,2\nkq,1", f"E106 {path}:2:1 kq"),
+        ("kp,2\n\nmotor.*a,-1", f"E107 {path}:3:1 motor.Ra: must be at least 0.0 Ohm"),
+        ("name,value\nki,3,V", f"E104 {path}:2:1 ki: [V] is given, but [V/rad] is needed"),
     ):
         path.write_text(text, encoding="utf-8")
         assert main(["run", MOTOR, "--set", f"@{path}"]) == 2
