@@ -295,6 +295,16 @@ class Diagram:
         """Remove the wire of an input; copies that a wire gave to the block stay. Raises UsageError (E501)."""
         self._draft.unwire(text_of(sink, self))
 
+    def set(self, name: str, value: object) -> None:
+        """Give a parameter another value: `set("motor.Ra", "200 mOhm")`, `set("kp", 25)`.
+
+        name: of a parameter of the diagram, of a block, or of a block in a subdiagram, or a pattern, as of the
+        `parameters` of a run. A block with variants changes in the variant that the diagram chooses. With copies the
+        value is one for all, or a list with one for each. Raises UsageError (E106, E501) for a name that is not there
+        or lies in another file, and ModelError if the value does not fit.
+        """
+        self._draft.set(str(name), raw_of(value))
+
     def remove(self, name: str) -> None:
         """Remove a block, an input, a parameter, an output or a measure, and everything that refers to it.
 

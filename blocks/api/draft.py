@@ -84,6 +84,12 @@ class Draft:
             raise UsageError(Fault("E501", legible(sink), "is not wired.", cure))
         self.value = replace(self.value, wires={key: text for key, text in wires.items() if key != sink})
 
+    def set(self, name: str, raw: object) -> None:
+        """Give a parameter another value. Raises UsageError (E106, E501) and ModelError."""
+        from ..editing.setting import with_parameter  # few diagrams change a block
+
+        self.value = with_parameter(self.value, name, raw, self.resolver)
+
     def remove(self, name: str) -> None:
         """Remove what has a name, and everything that refers to it. Raises UsageError (E501)."""
         from ..editing.applying import text_without  # few diagrams lose a block

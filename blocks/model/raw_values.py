@@ -61,7 +61,7 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
     patterns = [name for name in given if "*" in str(name)]
     if patterns:
         diagram = taken(diagram)
-        known, fleets = dict.fromkeys(_parameters(diagram, resolver)), {*_fleets(diagram)}
+        known, fleets = dict.fromkeys(parameters_of(diagram, resolver)), {*_fleets(diagram)}
         by: dict[str, str] = {}
         for pattern in patterns:
             for path in named(pattern, known, fleets) or [pattern]:
@@ -124,12 +124,12 @@ def _class_of(entry: BlockEntry, diagram: DiagramValue, resolver: Resolver) -> t
         return None
 
 
-def _parameters(diagram: DiagramValue, resolver: Resolver, prefix: str = "") -> Iterator[str]:
-    """The paths of all parameters, without the numbers of copies."""
+def parameters_of(diagram: DiagramValue, resolver: Resolver, prefix: str = "") -> Iterator[str]:
+    """Yield the paths of all parameters of a diagram without variants, without the numbers of copies."""
     yield from (prefix + name for name in diagram.parameters)
     for name, entry in diagram.blocks.items():
         if entry.inner is not None:
-            yield from _parameters(entry.inner, resolver, f"{prefix}{name}.")
+            yield from parameters_of(entry.inner, resolver, f"{prefix}{name}.")
         elif (cls := _class_of(entry, diagram, resolver)) is not None:
             yield from (f"{prefix}{name}.{key}" for key in cls.declaration.settable)
 
