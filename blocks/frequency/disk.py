@@ -163,8 +163,8 @@ def disk_margins(
         raise UsageError(Fault("E501", "skew", f"must be a number, not {skew!r}.", "Use 0, the balanced disk."))
     known = source(loop)
     n = known.inputs
-    if known.outputs != n:
-        what = f"{known.outputs} outputs and {n} inputs, but a loop has as many of each."
+    if known.outputs != n or n == 0:
+        what = f"{known.outputs} outputs and {n} inputs, but a loop has as many of each, and at least one."
         raise UsageError(Fault("E501", "disk_margins", what, "Give the loop transfer, with negative feedback."))
     if known.points is not None:
         what = "measured data are known at their own frequencies only."
@@ -176,13 +176,15 @@ def disk_margins(
     nothing = DiskMargins(channels, False, unstable, border, hidden, x, x, x, (), x, x, x, x, (), float(skew), known.dt)
     if unstable:
         return nothing
+    alone = () if border else tuple(_alone(loop, known, i, name) for i, name in enumerate(channels))
+    if closed is None:  # where the loop of one channel alone is at the border, S is infinite
+        border = tuple(dict.fromkeys(pole for one in alone for pole in one.border))
     if border:
         w = frequencies_of(border, known.dt)[0]
         return replace(
-            nothing, disk=0.0, disk_frequency=w, disk_most=0.0, worst=(1.0 + 0j,) * n, Ms=math.inf, Ms_frequency=w,
-            Mt=math.inf, Mt_frequency=w,
+            nothing, border=border, disk=0.0, disk_frequency=w, disk_most=0.0, worst=(1.0 + 0j,) * n, Ms=math.inf,
+            Ms_frequency=w, Mt=math.inf, Mt_frequency=w,
         )  # fmt: skip
-    alone = tuple(_alone(loop, known, i, name) for i, name in enumerate(channels))
     peaks, factors, at = _over_frequency(sensitivities(loop)["S"], known, skew)
     stable: bool | None = True
     if closed is None:
@@ -217,20 +219,20 @@ def _over_frequency(sensitivity: object, known: Source, skew: float) -> tuple[di
 
     def sizes(omega: Array) -> Array:
         at = stacked(omega)
-        disk = laws["disk"][0](at)
-        return np.stack([_largest(at), _largest(one - at), scaled(disk, scalings(disk))])
+        laws_of = (_largest, lambda S: _largest(one - S), lambda S: scaled(disk := laws["disk"][0](S), scalings(disk)))
+        return np.stack([_where_finite(size, at) for size in laws_of])
 
     omega, values = refined(sizes, layout(S, known.features))
     usable = np.all(np.isfinite(values), axis=0)
     omega, values = omega[usable], values[:, usable]
     at = stacked(omega)
     values[2] = _bounded(laws["disk"][0](at), values[2])
-    ends = _ends(sensitivity, S)
+    ends = _ends(sensitivity, S, known)
     peaks = {}
     for row, (name, (law, size)) in zip(values, laws.items(), strict=True):
 
         def gain(w: Array, law: Callable[[Array], Array] = law, size: Callable[[Array], Array] = size) -> Array:
-            return size(law(stacked(w)))
+            return np.nan_to_num(_where_finite(lambda S: size(law(S)), stacked(w)))
 
         limits = [Peak(float(size(law(value[None]))[0]), w) for w, value in ends]
         peaks[name] = highest(gain, omega, row, limits)
@@ -263,6 +265,14 @@ def _largest(matrices: Array) -> Array:
     return np.asarray(np.linalg.svd(matrices, compute_uv=False)[:, 0])
 
 
+def _where_finite(size: Callable[[Array], Array], matrices: Array) -> Array:
+    """Return the size of each matrix, (count,); nan if the matrix is not finite, as at a pole of a response."""
+    sizes, usable = np.full(len(matrices), math.nan), np.isfinite(matrices).all(axis=(1, 2))
+    if usable.any():
+        sizes[usable] = size(matrices[usable])
+    return sizes
+
+
 def _names(loop: Any, count: int) -> tuple[str, ...]:
     named = getattr(loop, "signals", None) or [getattr(loop, "input_labels", None) or range(count)]
     return tuple(str(name) for name in named[0])
@@ -289,20 +299,35 @@ def sensitivities(loop: Any) -> dict[str, object]:
     one = np.eye(known.inputs)
 
     def S(omega: Array) -> Array:
-        return np.moveaxis(np.linalg.inv(one + np.moveaxis(known.at(omega), 2, 0)), 0, 2)
+        return np.moveaxis(_inverses(one + np.moveaxis(known.at(omega), 2, 0)), 0, 2)
 
     return {"S": _Response(S, known.dt), "T": _Response(lambda omega: one[:, :, None] - S(omega), known.dt)}
 
 
-def _ends(system: object, S: Source) -> list[tuple[float, Array]]:
-    """(frequency, S) at zero and at infinity or the Nyquist frequency, of a state space."""
-    if S.realization is None:
-        return []
-    ends = [(0.0, dc_gain(system).astype(complex))]
+def _inverses(matrices: Array) -> Array:
+    """Return the inverse of each matrix, (count, n, n); infinite if it is singular."""
+    try:
+        return np.asarray(np.linalg.inv(matrices))
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full(matrices.shape, math.inf)
+        return np.concatenate([_inverses(matrix[None]) for matrix in matrices])
+
+
+def _ends(system: object, S: Source, loop: Source) -> list[tuple[float, Array]]:
+    """(frequency, S) at zero and at infinity or the Nyquist frequency, as far as they are known."""
+    zero, infinity = np.array([0.0]), S.infinity
+    with np.errstate(all="ignore"):
+        is_known = bool(np.isfinite(loop.at(zero)).all())
+    if S.realization is not None:
+        ends = [(0.0, dc_gain(system).astype(complex))]
+    else:  # at a pole of L the inverse of I + L would be made of 0 inf
+        ends = [(0.0, S.at(zero)[:, :, 0])] if is_known else []
+        infinity = None if loop.infinity is None else _inverses(np.eye(loop.inputs)[None] + loop.infinity)[0]
     if S.dt > 0:
         ends.append((S.high, S.at(np.array([S.high]))[:, :, 0]))
-    if S.infinity is not None:
-        ends.append((math.inf, S.infinity.astype(complex)))
+    if infinity is not None:
+        ends.append((math.inf, infinity.astype(complex)))
     return [(w, value) for w, value in ends if np.all(np.isfinite(value))]
 
 
@@ -338,5 +363,5 @@ def _alone(loop: Any, known: Source, i: int, name: str) -> Margins:
         return margins(channel)
     except AnalysisError as error:
         message = f"has no margin alone, where the other channels are closed: {error.faults[0].message}"
-        cure = getattr(loop, "hint", "") or "Open the loop at signals that feed back to themselves."
+        cure = getattr(loop, "hint", "") or error.faults[0].cure
         raise AnalysisError(Fault("E705", name, message, cure)) from None

@@ -49,18 +49,24 @@ def is_singular(a: Array, unsure: float) -> Callable[[complex], bool]:
     return is_there
 
 
-def root_doubts(coefficients: Array, roots: Array) -> Array:
-    """How far rounding of the coefficients of a polynomial, and of its evaluation, may have moved each root."""
+def root_doubts(coefficients: Array, roots: Array, terms: Array) -> Array:
+    """How far rounding of the coefficients of a polynomial, and of its evaluation, may have moved each root.
+
+    terms: the sizes of what the coefficients are sums of.
+    """
     with np.errstate(all="ignore"):
         slope = np.abs(np.polyval(np.polyder(coefficients), roots))
-        doubt = 8 * len(coefficients) * _EPS * np.polyval(np.abs(coefficients), np.abs(roots)) / slope
+        doubt = _floor(terms, np.abs(roots)) / slope
     return np.where(np.isfinite(doubt), doubt, 1e-4 * np.abs(roots))
 
 
-def is_root(coefficients: Array, x: complex) -> bool:
+def is_root(coefficients: Array, x: complex, terms: Array) -> bool:
     """Whether a polynomial vanishes there but for rounding of its coefficients and of its evaluation."""
-    floor = 8 * len(coefficients) * _EPS * np.polyval(np.abs(coefficients), abs(x))
-    return bool(abs(np.polyval(coefficients, x)) <= floor)
+    return bool(abs(np.polyval(coefficients, x)) <= _floor(terms, abs(x)))
+
+
+def _floor(terms: Array, size: Array | float) -> Array:
+    return np.asarray(8 * len(terms) * _EPS * np.polyval(terms, size))
 
 
 def growth_of(p: Array, dt: float) -> Array:

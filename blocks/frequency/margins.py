@@ -27,7 +27,7 @@ from .closed_loop import (
     frequencies_of,
     is_stable_by_encirclements,
     judged,
-    return_of_values,
+    raise_ill_posed,
     verdict_of,
 )
 from .dead_time import extrema, is_stable, stretches
@@ -326,7 +326,7 @@ def margins(
     only = _nearest(omega, values) if known.features is None and known.points is None else values.real < 0
     gains = _gain_crossings(at, omega, values, ends, only)
     phases, delays = _phase_crossings(at, omega, values, known)
-    border = closed.border if closed is not None else _touched(phases, known.dt)
+    border = closed.border if closed is not None else _touched(phases, ends, known.dt)
     gains, phases, delays = _at_border(frequencies_of(border, known.dt), gains, phases, delays)
     peaks = {}
     for name, law in _LAWS.items():
@@ -389,8 +389,7 @@ def _of_several_rates(loop: object, check: Callable[[], None] | None) -> Margins
     matrix = Factored(seen).matrix(1.0)
     unsure, scale = rounding(matrix, seen.a, model.dt), float(np.linalg.norm(model.a))
     p, doubt = eigenvalues_with_doubt(matrix, unsure)
-    at, there = (lambda x: return_of_values(seen, x)), is_singular(matrix, unsure)
-    own = judged(p, doubt, at, np.zeros(0, complex), scale, model.dt, there)
+    own = judged(p, doubt, seen.at, np.zeros(0, complex), scale, model.dt, is_singular(matrix, unsure))
     beside = judged(np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt)
     closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden), bool(own.border), check)
     unstable = own.unstable + beside.unstable
@@ -463,11 +462,10 @@ def _with_dead_time(
     def is_stable_at(delay: float) -> bool:
         return not beside.unstable and is_stable(seen, delay, poles, doubts, omega, unity)
 
-    border = _touched(phases, 0.0)
+    border = _touched(phases, (), 0.0)
     if border and not (is_stable_at(delay * (1 - _SAME)) or is_stable_at(delay * (1 + _SAME))):
         border = ()  # other poles are beyond it
-    if start and abs(1.0 + start[0][1]) <= _TOUCH:
-        border = (0j, *border)
+    border = _touched((), start, 0.0) + border
     stable = not border and is_stable_at(delay)
     at_border = _at_border(frequencies_of(border, 0.0), _by_frequency(gains), phases, delays)
     if border:
@@ -519,9 +517,10 @@ def _size_of(law: Callable[[Array], Array], at: Callable[[Array], Array]) -> Cal
 # At the border
 
 
-def _touched(phases: tuple[tuple[float, float], ...], dt: float) -> tuple[complex, ...]:
+def _touched(phases: _Crossings, ends: Iterable[tuple[float, complex]], dt: float) -> tuple[complex, ...]:
     """Poles of a closed loop of which only the response is known: where L is -1 within rounding."""
-    touched = [1j * w for degrees, w in phases if abs(math.radians(degrees)) <= _TOUCH]
+    touched = [1j * w for w, value in ends if w < math.inf and abs(1.0 + value) <= _TOUCH]
+    touched += [1j * w for degrees, w in phases if abs(math.radians(degrees)) <= _TOUCH]
     return tuple(complex(np.exp(p * dt)) if dt > 0 else p for p in touched)
 
 
@@ -563,7 +562,7 @@ def _at_rest(loop: object, known: Source) -> float:
         parts = [(p, doubt) for _, _, p, doubt in parts_with_doubt(known.realization.visible())]
     elif is_of(loop, "TransferFunction"):
         both = [(part, np.asarray(np.roots(part), dtype=complex)) for part in polynomials(loop)[0][0]]
-        parts = [(roots - shift, root_doubts(part, roots)) for part, roots in both]
+        parts = [(roots - shift, root_doubts(part, roots, np.abs(part))) for part, roots in both]
     else:
         parts = []
     return max((float(x) for p, doubt in parts for x in np.abs(p)[np.abs(p) <= doubt]), default=0.0)
@@ -595,6 +594,8 @@ def _grid(
     if np.count_nonzero(usable) < 2:
         cure = hint or "Open the loop at a signal that feeds back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero or infinite at all frequencies.", cure))
+    if not np.any(1.0 + values[usable]):
+        raise_ill_posed("all frequencies")
     return omega[usable], values[usable]
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..text.arrays import Array
+from ..text.errors import Fault, UsageError
 from .lapack import balancing, generalized_eigenvalues
 
 _EPS = float(np.finfo(float).eps)
@@ -79,6 +80,7 @@ def balanced(system: Any) -> Realization:
     a = np.array(system.A, dtype=float).reshape(n, n)
     b = np.array(system.B, dtype=float).reshape(n, d.shape[1])
     c = np.array(system.C, dtype=float).reshape(d.shape[0], n)
+    check_finite(A=a, B=b, C=c, D=d)
     if dt > 0:
         a -= np.eye(n)
     if n:
@@ -89,6 +91,14 @@ def balanced(system: Any) -> Realization:
         scale = balancing(whole)[:n]
         a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
     return Realization(a, b, c, d, dt)
+
+
+def check_finite(**numbers: Array) -> None:
+    """Raise UsageError (E501) for a system with numbers that are nan or infinite. numbers: by what they are."""
+    for name, values in numbers.items():
+        for value in values[~np.isfinite(values)][:1]:
+            message, cure = f"{name} holds {value:g}, but must be finite.", "Check the numbers that it is made from."
+            raise UsageError(Fault("E501", "system", message, cure))
 
 
 def variable(omega: Array, dt: float) -> Array:

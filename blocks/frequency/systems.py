@@ -14,7 +14,7 @@ import numpy as np
 
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
-from .realization import Realization, balanced, equivalent, invariant_zeros, period, variable
+from .realization import Realization, balanced, check_finite, equivalent, invariant_zeros, period, variable
 
 _MANY = 200  # states; above, zeros of channels would cost more than they are worth
 _PART = 256  # frequencies between two calls of a check
@@ -142,6 +142,8 @@ def polynomials(system: Any) -> list[list[tuple[Array, Array]]]:
 def _ofpolynomials(system: Any) -> Source:
     dt = period(system.dt)
     table = polynomials(system)
+    for num, den in (pair for line in table for pair in line):
+        check_finite(**{"a numerator": num, "a denominator": den})
     rows, columns = len(table), len(table[0])
     roots = [np.roots(coefficients) for line in table for pair in line for coefficients in pair if len(coefficients)]
     features = np.concatenate([np.zeros(0, complex), *roots])

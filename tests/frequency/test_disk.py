@@ -8,6 +8,8 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import control
@@ -447,6 +449,83 @@ def test_an_unstable_loop_has_no_numbers_and_one_at_the_border_has_none_to_bear(
     found = disk_margins(integrators)
     assert (found.verdict, found.disk, found.Ms) == ("border", 0.0, math.inf)
     assert "AT THE BORDER" in str(found)
+
+
+@dataclass(frozen=True)
+class Responding:
+    """A system of which only the response is known."""
+
+    of: Callable[[Array], Any]
+    dt: float = 0.0
+
+    def response(self, omega: Array) -> Array:
+        return np.asarray(self.of(1j * np.asarray(omega)), dtype=complex)
+
+
+def on_diagonal(first: Array, second: Array) -> list[list[Array]]:
+    return [[first, 0 * first], [0 * first, second]]
+
+
+ONE, POLE = control.tf([-1.0], [1.0, 1.0]), control.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [
+        ONE,
+        control.tf([-0.3], [1.0, 0.1 + 0.2]),  # but for rounding
+        control.tf([-1.0, 0.0], [1.0, 1.0, 0.0]),  # a factor s in both
+        control.tf([-0.5], [1.0, -0.5], 0.1),
+        control.append(control.ss(ONE), POLE),  # S has the zero in one channel, L the pole in the other
+        control.append(control.ss(control.tf([-0.3, -2.0], [1.0, 0.7, 2.0])), POLE),
+        control.tf([[[-1.0], [0.0]], [[0.0], [1.0]]], [[[1.0, 1.0], [1.0]], [[1.0], [1.0, 2.0]]]),
+        Responding(lambda s: -1 / (s + 1)),
+        Responding(lambda s: -0.5 / (np.exp(0.1 * s) - 0.5), 0.1),
+        Responding(lambda s: on_diagonal(-1 / (s + 1), 1 / (s + 2))),
+        Responding(lambda s: [[0 * s, 2 / (s + 1)], [0.5 / (s + 3) + 1 / 3, 0 * s]]),  # det(I + L) alone is 0
+    ],
+)
+def test_a_loop_with_1_plus_L_zero_at_rest_has_no_margin_there(loop: object) -> None:
+    found = disk_margins(loop)
+    assert (found.verdict, found.stable) == ("border", False)
+    assert (found.disk, found.disk_frequency, found.Ms, found.Mt) == (0.0, 0.0, math.inf, math.inf)
+    assert "AT THE BORDER" in str(found)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_loops_beside_the_border_have_the_margin_of_their_closed_form(exact: bool) -> None:
+    """S - T is (1 - L)/(1 + L), (2 - e)/e at rest for L = -(1 - e)/(s + 1): alpha is 2 e/(2 - e)."""
+    e = 1e-5
+    loop: object = control.append(control.ss([[-1.0]], [[1.0]], [[e - 1.0]], [[0.0]]), POLE)
+    if exact:
+        loop = Responding(lambda s: on_diagonal((e - 1) / (s + 1), 1 / (s + 2)))
+    found = disk_margins(loop)
+    assert found.verdict == ("unknown" if exact else "stable")
+    assert found.disk == pytest.approx(2 * e / (2 - e), rel=1e-7)
+    beyond = control.append(control.ss([[-1.0]], [[1.0]], [[-1.0 - e]], [[0.0]]), POLE)
+    assert disk_margins(beyond).verdict == "unstable"
+
+
+def test_a_loop_at_the_border_at_a_frequency_of_the_grid_has_no_margin() -> None:
+    found = disk_margins(Responding(lambda s: on_diagonal(2 / (s * (s + 1) ** 2), 1 / (s + 2))))
+    assert (found.verdict, found.disk, found.Ms) == ("border", 0.0, math.inf)
+    assert found.disk_frequency == pytest.approx(1.0, rel=1e-9)
+
+
+def test_loops_of_numbers_that_are_none_are_refused() -> None:
+    for loop, words in (
+        (control.ss([[math.nan]], [[1.0]], [[1.0]], [[0.0]]), "E501 system: A holds nan, but must be finite"),
+        (control.tf([math.inf], [1.0, 1.0]), "E501 system: a numerator holds inf, but must be finite"),
+        (control.ss([], [], np.zeros((0, 0)), np.zeros((0, 0))), "E501 disk_margins: 0 outputs and 0 inputs"),
+        (Responding(lambda s: np.zeros((0, 0, len(s)))), "E501 disk_margins: 0 outputs and 0 inputs"),
+        (Responding(lambda s: on_diagonal(np.nan * s, s)), "E705 0: has no margin alone"),
+        (Responding(lambda s: 0 * s - 1), r"E705 0: .*1 \+ L vanishes at all frequencies\. Put a state"),
+    ):
+        with pytest.raises((UsageError, AnalysisError), match=words):
+            disk_margins(loop)
+    # A response that is not known everywhere: the rest counts.
+    found = disk_margins(Responding(lambda s: np.where(np.abs(s) > 10, np.nan, 1 / (s + 1))))
+    assert found.Mt == pytest.approx(0.5, rel=1e-6)
 
 
 def test_of_more_than_three_channels_the_margin_is_guaranteed_and_the_worst_is_near() -> None:
