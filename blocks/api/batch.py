@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationEr
 from ..text.printable import counted, legible
 from ..text.rich_output import Part, Shown, Table
 from .batch_processes import Worker, in_processes, packed
-from .case import Case
+from .case import CallWords, Case, check_words, takes
 from .given_values import picked, time_of
 from .lanes import Lanes, no_lanes
 from .prepared_model import PreparedModel
@@ -198,22 +198,17 @@ class Batch(Shown):
             raise UsageError(Fault("E501", "row", message, f"The columns: {', '.join(self.columns)}."))
         return self._whole.run(parameters=raw_values(self._columns, values), seed=seed)
 
-    def __call__(
-        self,
-        table: object,
-        *,
-        seeds: Sequence[int] | Array | None = None,
-        threads: int | None = None,
-        max_steps: int | None = None,
-        progress: Callable[[int, int], None] | None = None,
-    ) -> BatchRows:
+    @takes(CallWords)
+    def __call__(self, table: object, **words: Unpack[CallWords]) -> BatchRows:
         """Run all rows.
 
         table: (n, columns), or a mapping or a DataFrame of the columns: numbers in the units of the parameters. seeds:
         (n,) of the runs; None: that of the diagram for all. threads: how many run at once; None: all cores. max_steps:
         of a run, rejected ones included. progress: called with the number of rows that are done, and of all. Ctrl-C
-        ends it: what was not run is "left".
+        ends it: what was not run is "left". Raises UsageError (E501).
         """
+        check_words(words, CallWords)
+        seeds, threads, max_steps = words.get("seeds"), words.get("threads"), words.get("max_steps")
         rows = self._rows(table)
         _check_count("threads", threads)
         _check_count("max_steps", max_steps)
@@ -221,7 +216,7 @@ class Batch(Shown):
         made = _Made(self, len(rows), seeds, max_steps)
         try:
             given = [{**self._parameters, **raw} for raw in self._given(rows, made)]
-            with live_line(progress, in_rows("rows")) as told:
+            with live_line(words.get("progress"), in_rows("rows")) as told:
                 work = _Work(made, told)
                 if self._why:
                     self._one_by_one(given, work, threads)

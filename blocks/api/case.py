@@ -98,15 +98,24 @@ class ManyWords(Words, total=False):
     progress: Callable[[int, int], None] | None
 
 
+class CallWords(TypedDict, total=False):
+    """The arguments of the call of a batch, beside its table."""
+
+    seeds: Sequence[int] | np.ndarray[Any, Any] | None
+    threads: int | None
+    max_steps: int | None
+    progress: Callable[[int, int], None] | None
+
+
 MERGED = ("parameters", "inputs", "variants")
 """Words whose values are mappings, which are merged by name."""
 FIXED = ("variants", "measures", "engine", "trust")
 """Words that a prepared model does not change."""
 _OLD = {
-    "held": "inputs=", "outputs": "y=", "budget": "max_steps=", "resume": "restart=True in place of resume=False",
-    "anew": "restart=",
+    "held": "inputs=", "outputs": "y=", "budget": "max_steps=, as of sweeps and calls of batches",
+    "resume": "restart=True in place of resume=False", "anew": "restart=",
 }  # fmt: skip
-"""Arguments of blocks 0.1, and how they are written now; each counts where the new one exists."""
+"""Arguments of blocks 0.1, and how they are written now."""
 _Verb = TypeVar("_Verb", bound=Callable[..., Any])
 
 

@@ -681,8 +681,8 @@ class Diagram:
     @takes(PointWords)
     def linearize(
         self,
-        u: PortName | str | Sequence[PortName | str],
-        y: PortName | str | Sequence[PortName | str],
+        u: PortName | str | Sequence[PortName | str] = (),
+        y: PortName | str | Sequence[PortName | str] = (),
         case: Case | None = None,
         *,
         at: OperatingPoint | Run | float | None = None,
@@ -708,6 +708,11 @@ class Diagram:
         transfer; its `report` shows how each block came in. Many transfers of one point: `linearizer`. Raises
         UsageError, ModelError and AnalysisError (E701: a law without a slope, E703, E704, E707).
         """
+        check_words(words, PointWords)
+        for word, names in (("u", signal_names(u)), ("y", signal_names(y))):
+            if not names:
+                cure = 'Example: linearize("r", "motor.omega"), from u to y; inputs= are values of the inputs.'
+                raise UsageError(Fault("E501", word, "must name a signal.", cure))
         linearizer = self.linearizer(
             case, at=at, amplitude=amplitude, sigma=sigma, overrides=overrides, **words
         )  # fmt: skip

@@ -107,6 +107,8 @@ def _standing(
         return run
 
     silent = case.updated(log=[]) if is_silent else case
+    if at is None and case.settings.get("log"):  # nothing is recorded, but its names are checked
+        flat_of(given_value, resolver, case)
     like = next((form for form in likes if form.with_values(case.parameters, silent.settings) is not None), None)
     flat = flat_of(given_value, resolver, silent) if like is None else like.structure
     _refuse_coupled(flat)

@@ -179,6 +179,18 @@ def evaluate(expression: Expression, values: Mapping[str, Scalar]) -> Scalar:
     )
 
 
+def check_numbers(expression: Expression) -> None:
+    """Raise ModelError (E108) if an operation on numbers alone fails, as in u1 + 1/0."""
+
+    def computed(step: PostfixStep, operands: list[Scalar | None]) -> Scalar | None:
+        numbers = [operand for operand in operands if operand is not None]
+        if len(numbers) < len(operands) or step.word in RELATIONS or step.word in _WORDS:
+            return None
+        return _computed(expression.text, step, numbers)
+
+    expression.folded(lambda step: step.scalar, computed)
+
+
 def _check_names(expression: Expression, values: Mapping[str, Scalar]) -> None:
     faults = []
     for name in expression.names:

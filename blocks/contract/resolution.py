@@ -178,18 +178,19 @@ class _Resolving:
     def check_requirements(self) -> None:
         for requirement in self.declaration.requirements:
             known, equation = self.known, requirement.equation
+            name = equation.reads[0] if len(equation.reads) == 1 else ""
             try:
                 holds = np.all(equation.function(*(known[name] for name in equation.reads)))
             except ModelError as error:  # what it says itself
                 first = error.faults[0]
-                self.fault("E107", "", f"{requirement.message}: {first.message}", first.cure)
+                self.fault("E107", name, f"{requirement.message}: {first.message}", first.cure)
                 continue
             except Exception as error:  # a function of the class may raise anything
-                self.fault("E107", "", f"{requirement.message} ({type(error).__name__}: {error}).")
+                self.fault("E107", name, f"{requirement.message} ({type(error).__name__}: {error}).")
                 continue
             if not holds:
                 shown = ", ".join(f"{name} = {_shown(known[name])}" for name in equation.reads)
-                self.fault("E107", "", f"{requirement.message} ({shown}).")
+                self.fault("E107", name, f"{requirement.message} ({shown}).")
 
     def shared(self) -> Interface:
         """The type with its zero patterns, the same object for equal types."""

@@ -119,7 +119,9 @@ class _Formula(Block, abstract=True):
 
     @requires("expression must be arithmetic")
     def is_arithmetic(expression):
-        return bool(_parsed(expression).steps)
+        parsed = _parsed(expression)
+        expressions.check_numbers(parsed)
+        return bool(parsed.steps)
 
     @requires("expression reads names that are not u1, u2, ..., k1, k2, ... or t")
     def is_known(expression):

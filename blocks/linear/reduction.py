@@ -218,12 +218,12 @@ def matrices_of(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array], 
     Without `pade` the delays of a sampled model keep the row and the column "h". Raises AnalysisError (E707) for a
     continuous model with exact delays.
     """
+    if isinstance(pade, bool) or not isinstance(pade, (int, np.integer)) or pade < 0:
+        raise UsageError(Fault("E501", "pade", f"must be an order, 1 or more, not {pade!r}."))
     matrices = {row + column: wired.dense(row, column) for row in "xdy" for column in "xde"}
     names = list(wired.x)
     if not wired.h:
         return matrices, names
-    if isinstance(pade, bool) or not isinstance(pade, (int, np.integer)) or pade < 0:
-        raise UsageError(Fault("E501", "pade", f"must be an order, 1 or more, not {pade!r}."))
     if pade < 1 and wired.d:
         return {row + column: wired.dense(row, column) for row in "xdhy" for column in "xdhe"}, names
     if pade < 1:

@@ -16,7 +16,7 @@ from itertools import islice
 from typing import Any
 
 from ..contract.block import Block
-from ..contract.expressions import LENGTH, RELATIONS, PostfixStep, exact_time, parse, signals_at
+from ..contract.expressions import LENGTH, RELATIONS, PostfixStep, check_numbers, exact_time, parse, signals_at
 from ..contract.interface import Interface, Value
 from ..contract.resolution import resolve
 from ..host.gc_pause import paused
@@ -362,6 +362,7 @@ class _Flattener:
         """Refuse what is no condition, and comparisons of two signals that are different quantities."""
         try:
             condition = parse(text, truths=truths)
+            check_numbers(condition)
         except ModelError as error:
             self.refuse_ending("E108", error.faults[0].message, error.faults[0].cure)
             return

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Case, Diagram, Gain, Integrator, Noise, Normal, Sum, UsageError
+from blocks import Case, Diagram, Gain, Integrator, ModelError, Noise, Normal, Sum, UsageError
 from blocks.analysis import SineStream, estimate_response, find_operating_point, limit_cycles, operating_points
 from blocks.api.case import ModelWords, Settings, Work
 from blocks.cli.options import SETTINGS
@@ -69,11 +69,11 @@ def test_words_on_top_merge_mappings_by_name_and_replace_the_rest() -> None:
     [
         (lambda d: d.run(stpo=1), "E501 stpo: is not an argument. Did you mean 'stop'?"),
         (lambda d: d.run(5), "E501 case: must be a Case, not int. Examples: run(stop=10), run(Case(stop=10))."),
-        (lambda d: Case(budget=1), "E501 budget: is an argument of blocks 0.1. Write max_steps=."),
+        (lambda d: Case(budget=1), "E501 budget: is an argument of blocks 0.1. Write max_steps=, "),
         (lambda d: d.run(parameters=[1]), "E501 parameters: must be a mapping of values by path, not list."),
         (lambda d: d.linearizer(held={"r": 1}), "E501 held: is an argument of blocks 0.1. Write inputs=."),
         (lambda d: d.linearize("r", "x.y", outputs=["x.y"]), "E501 outputs: is an argument of blocks 0.1. Write y=."),
-        (lambda d: d.sweep({"k": [1]}, budget=5), "E501 budget: is an argument of blocks 0.1. Write max_steps=."),
+        (lambda d: d.sweep({"k": [1]}, budget=5), "E501 budget: is an argument of blocks 0.1. Write max_steps=, "),
         (lambda d: d.sweep({"k": [1]}, resume=False), "E501 resume: is an argument of blocks 0.1. Write restart=True"),
         (lambda d: d.run(held={}), "E501 held: is an argument of blocks 0.1. Write inputs=."),
         (lambda d: d.flatten(settings={"stop": 1}), "E501 settings: is no argument: each setting is one."),
@@ -88,6 +88,13 @@ def test_words_on_top_merge_mappings_by_name_and_replace_the_rest() -> None:
         (lambda d: d.run(out=5), "E501 out: must be the path of a file, not 5."),
         (lambda d: d.run(progress=5), "E501 progress: must be a function of the time and the stop time."),
         (lambda d: d.prepare().run(5), "E501 case: must be a Case, not int."),
+        (lambda d: d.batch(["k"])([[1.0]], budget=5), "E501 budget: is an argument of blocks 0.1. Write max_steps=, "),
+        (lambda d: d.batch(["k"])([[1.0]], stop=5), "E501 stop: has no effect here. Leave it out."),
+        (lambda d: d.batch(["k"])([[1.0]], thread=5), "E501 thread: is not an argument. Did you mean 'threads'?"),
+        (lambda d: d.linearize(inputs=["r"], outputs=["x.y"]), "E501 outputs: is an argument of blocks 0.1. Write y=."),
+        (lambda d: d.linearize(inputs=["r"]), 'E501 u: must name a signal. Example: linearize("r", "motor.omega")'),
+        (lambda d: d.linearize("r", []), "E501 y: must name a signal."),
+        (lambda d: d.linearize("r", "x.y", pade=-1), "E501 pade: must be an order, 1 or more, not -1."),
         (lambda d: d.linearizer(engine="native"), "E501 engine: has no effect here. Leave it out."),
         (lambda d: d.export("x.fmu", inputs={"r": 1}), "E501 inputs: has no effect here. Leave it out."),
         (lambda d: d.flatten(measures=[]), "E501 measures: has no effect here. Leave it out."),
@@ -109,6 +116,16 @@ def test_words_that_have_no_meaning_are_refused_with_what_to_write(call: Callabl
     with pytest.raises(UsageError) as caught:
         call(loop())
     assert str(caught.value).startswith(message)
+
+
+def test_names_to_log_are_checked_where_nothing_is_recorded() -> None:
+    """Also at the start, from which no run follows; signals that exist change nothing."""
+    message = r'E105 run\.log: there is no signal "nope"\. Signals: '
+    for at in (None, 0.5):
+        with pytest.raises(ModelError, match=message):
+            loop().linearize("r", "x.y", at=at, log=["nope"])
+        known = loop().linearize("r", "x.y", at=at, log=["x.y"])
+        assert np.array_equal(known.A, loop().linearize("r", "x.y", at=at).A)
 
 
 # --- every verb takes it ---------------------------------------------------------------------------------------

@@ -20,6 +20,8 @@ from blocks.model.document import dumps, from_document, self_contained
 from blocks.model.values import value_of
 
 RPM = math.pi / 30.0
+# The describing function of a saturation for twice its limit.
+HALF_SATURATED = 2.0 / math.pi * (math.asin(0.5) + 0.5 * math.sqrt(0.75))
 WAYS = [2.0, "2 rpm", {"value": 12.0, "unit": "deg/s"}]
 
 
@@ -36,20 +38,29 @@ def saturated() -> Diagram:
 @pytest.mark.parametrize("amplitude", WAYS)
 @pytest.mark.parametrize("name", ["u", "law.u"])
 def test_an_amplitude_is_in_the_unit_of_its_signal(amplitude: Any, name: str) -> None:
-    # The describing function of a saturation at 1 for the amplitude 2, both in rpm.
-    r = 0.5
-    exact = 2.0 / math.pi * (math.asin(r) + r * math.sqrt(1.0 - r * r))
     model = saturated().linearizer(amplitude={name: amplitude}).transfer("u", "y")
-    assert float(model.D[0, 0]) == pytest.approx(exact, rel=1e-9)
+    assert float(model.D[0, 0]) == pytest.approx(HALF_SATURATED, rel=1e-9)
     response = saturated().linearizer().harmonic_response("u", "y", [1.0], amplitude=amplitude)
-    assert response.value[0, 0] == pytest.approx(exact, rel=1e-9)
-    assert response.response([2.0])[0, 0, 0] == pytest.approx(exact, rel=1e-9)
+    assert response.value[0, 0] == pytest.approx(HALF_SATURATED, rel=1e-9)
+    assert response.response([2.0])[0, 0, 0] == pytest.approx(HALF_SATURATED, rel=1e-9)
     assert response.amplitude == pytest.approx(2.0 * RPM)
 
 
 def test_an_amplitude_of_another_quantity_is_refused() -> None:
     with pytest.raises(UsageError, match=r"E501 amplitude of u: \[V\] is given, but \[rpm\] is needed"):
         saturated().linearizer(amplitude={"u": "2 V"})
+    with pytest.raises(UsageError, match=r"E501 amplitude of law.u: \[V\] is given, but \[rpm\] is needed"):
+        saturated().linearizer(amplitude={"*.u": "2 V"})
+
+
+@pytest.mark.parametrize("name", ["law.u", "*.u"])
+def test_a_signal_without_a_unit_takes_an_amplitude_with_any_unit(name: str) -> None:
+    diagram = Diagram("bare")
+    diagram.wire(diagram.add("law", blocks.Saturation(lower=-RPM, upper=RPM)).u, diagram.input("u", default=0))
+    diagram.output("y", "law.y")
+    for amplitude in ("2 rpm", 2.0 * RPM):  # plain numbers are in SI
+        model = diagram.linearize("u", "y", amplitude={name: amplitude})
+        assert float(model.D[0, 0]) == pytest.approx(HALF_SATURATED, rel=1e-9)
 
 
 @pytest.mark.parametrize("limits", [None, (0.1, 1e4), ("0.01 rad/s", "1e4 rpm")])

@@ -328,6 +328,7 @@ def test_the_condition_changes_no_bit_before_the_end():
         ("height.y", "E108", '"height.y" is a number, not a condition. Compare it, as in x >= 3.'),
         ("height.y and t > 1", "E108", "column 10: 'and' takes truth values, not numbers."),
         ("height.y = 3", "E108", "Write one = at the start only, and == for equality."),
+        ("height.y > 1/0", "E108", "'=height.y > 1/0', column 13: division by zero in 1.0 / 0.0."),
         ("height.y > 3 and", "E108", "column 17: expected a number"),
         ("height.y > speed.y", "E104", "height.y [m] and speed.y [m/s] are different quantities."),
         ("both.y > 3", "E110", 'both.y has 2 elements. Name one, as in "both.y[0]".'),

@@ -196,3 +196,34 @@ def test_other_values_are_in_the_unit_that_follows_from_a_size(given: Any, wante
     model = diagram.prepare(**settings)
     for made in (diagram.run(parameters=given, **settings), model.run(parameters=given)):
         assert made["s.y"][-1].tolist() == pytest.approx(wanted, rel=1e-15)
+
+
+FORMULA = """{
+  "format": "blocks-diagram", "version": 3, "name": "formula",
+  "blocks": {
+    "f": {"type": "Expression", "parameters": {
+      "k": [],
+      "expression": "%s"}}
+  }
+}"""
+
+
+@pytest.mark.parametrize(
+    ("formula", "place", "message"),
+    [
+        ("t + 1/0", "6:21 f.expression", "'=t + 1/0', column 6: division by zero in 1.0 / 0.0."),
+        ("t*(-8)**0.5", "6:21 f.expression", "a power takes a positive base"),
+        ("t +", "6:21 f.expression", "expected a number, a name or '('"),
+        ("t + k1", "4:10 f", "k must hold as many constants"),  # of two parameters
+    ],
+)
+def test_what_one_parameter_must_be_is_said_at_its_place(
+    formula: str, place: str, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "formula.json"
+    path.write_text(FORMULA % formula, encoding="utf-8")
+    with pytest.raises(ModelError) as error:
+        Diagram.load(path).run(stop=1.0)
+    (fault,) = error.value.faults
+    assert (fault.code, f"{fault.line}:{fault.column} {fault.place}") == ("E107", place)
+    assert message in fault.message
