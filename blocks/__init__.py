@@ -5,6 +5,7 @@ The public names are loaded when first used, so that `import blocks` costs next 
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 from .library import NAMES
@@ -78,7 +79,21 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"blocks.{_PLACES[name]}"), name)
     if name in NAMES:
         return getattr(import_module("blocks.library"), name)
-    raise AttributeError(f"module 'blocks' has no attribute {name!r}")
+    message = f"module 'blocks' has no attribute {name!r}. {_meant(name)}".rstrip()
+    # `from blocks import name` asks here first, but the ImportError that it makes of an AttributeError has no hint.
+    if sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap" and name[:1].isupper():
+        raise ImportError(message, name=__name__)
+    raise AttributeError(message)
+
+
+def _meant(name: str) -> str:
+    """Return a hint for a name that blocks does not have: a term of Simulink, or a misspelt one."""
+    if not name[:1].isupper():
+        return ""
+    from .model.simulink import hint
+    from .text.errors import did_you_mean
+
+    return hint(name) or did_you_mean(name, __all__)
 
 
 def __dir__() -> list[str]:

@@ -140,8 +140,9 @@ class Batch(Shown):
             for target in column.targets:
                 is_free = target.element is not None and (target.path, target.element) not in places
                 if target.path in parameters and not (is_free and target.path not in wholes):
-                    message = "is both a column and a parameter of all rows."
-                    raise UsageError(Fault("E501", legible(target.path), message, "Give it once."))
+                    message = "varies from row to row, and has a value for all rows (parameters, case or scenario)."
+                    cure = "Leave out one of the two."
+                    raise UsageError(Fault("E501", legible(target.path), message, cure))
         self.name, self.seed = value.name, run.seed
         self.columns = tuple(column.name for column in self._columns)
         self.targets = tuple(tuple(target.path for target in column.targets) for column in self._columns)
@@ -346,8 +347,8 @@ class Batch(Shown):
         names = {path for paths in self.targets for path in paths} - {*(self._fixed or ())}
         inputs = input_table(plan, self._case.inputs, self._case.interpolation)
         model, why = self._lanes.model(plan, self._case.engine)
-        fault = no_lanes("this row", why) if why else None
-        return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters), fault)
+        faults = (no_lanes("this row", why),) if why else ()
+        return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters), faults)
 
     def _run(
         self, form: _Form, places: list[int], table: Array, work: _Work, threads: int | None
@@ -365,7 +366,7 @@ class Batch(Shown):
         )  # fmt: skip
         for i, row in zip(places, rows, strict=True):
             if row is not None:
-                made.take(i, row if row.status != "ok" else replace(row, fault=row.fault or form.fault))
+                made.take(i, row if row.status != "ok" else replace(row, faults=row.faults or form.faults))
         made.interrupted |= is_cancelled
         work.tell(before + sum(row is not None for row in rows))
 
@@ -410,10 +411,7 @@ class Batch(Shown):
         steps = results.statistics.steps + results.statistics.rejected
         if budget is not None and steps > budget:
             return Row.over(self.name, budget)
-        faults = [fault for fault in results.warnings if fault.code in ("W301", "W307")]
-        return Row(
-            steps, dict(results.measures), faults[0] if faults else None, "ok", self._recorded(results)
-        )
+        return Row.ok(steps, dict(results.measures), results.warnings, self._recorded(results))
 
     def _recorded(self, results: Results | None) -> Array:
         """The signals (rows, elements) on the grid, as far as the run came."""
@@ -463,7 +461,7 @@ class _Form:
     model: Any
     inputs: InputTable
     base: Array  # the row p
-    fault: Fault | None  # W504: other forms have lanes
+    faults: tuple[Fault, ...]  # W504: other forms have lanes
 
     @property
     def seed(self) -> int:
@@ -489,17 +487,17 @@ class _Made:
 
     def fail(self, i: int, status: str, error: Exception) -> None:
         fault = error.faults[0] if isinstance(error, BlocksError) else Fault("E501", "row", str(error))
-        self.take(i, Row(0, {}, fault, status))
+        self.take(i, Row(0, {}, (fault,), status))
 
     def take(self, i: int, row: Row) -> None:
         """What became of row i."""
-        fault, status = row.fault, row.status
+        faults, status = row.faults, row.status
         if status is None:
-            status = "diverged" if fault is not None and fault.code in _NUMERIC else "failed"
+            status = "diverged" if any(fault.code in _NUMERIC for fault in faults) else "failed"
         if len(row.signals):
             self.recorded[i, : len(row.signals)] = row.signals
         self.steps[i] = row.steps
-        self.messages[i] = "" if fault is None else f"{fault.code} {fault.place}: {fault.message}"
+        self.messages[i] = " ".join(f"{fault.code} {fault.place}: {fault.message}" for fault in faults)
         for name, value in row.measures.items():
             self.measures[name][i] = value
         self.status[i] = status  # last: where Ctrl-C comes between two lines, the row is left

@@ -151,7 +151,8 @@ class Worker:
             process.wait(5.0)
         message = f"the process of this row ended, with exit code {process.returncode}."
         self.end()
-        return Row(0, {}, Fault("E216", "row", message, "An FMU may have crashed. Run the row alone."), "failed")
+        fault = Fault("E216", "row", message, "An FMU may have crashed. Run the row alone.")
+        return Row(0, {}, (fault,), "failed")
 
     def end(self) -> None:
         process, self.process = self.process, None

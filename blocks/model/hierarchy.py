@@ -30,7 +30,7 @@ from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stre
 from .diagram_grammar import LARGEST_SIZE
 from .diagram_value import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .origins import Origin, Origins
-from .simulink import word_of
+from .simulink import hint
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
 MAX_BLOCKS = 1_000_000
@@ -454,10 +454,8 @@ class Hierarchy:
             return self.resolver(entry.type)
         except KeyError as error:
             known_types = [word for word in error.args if word != entry.type]
-            word = word_of(entry.type)
-            guess = self.faults.guess(entry.type, known_types)
-            hint = f"The equivalent of {quoted(word.name)}: {word.here}" if word else guess
-            cure = f"{hint} `blocks list` shows the types; --library adds your own.".strip()
+            meant = hint(entry.type) or self.faults.guess(entry.type, known_types)
+            cure = f"{meant} `blocks list` shows the types; --library adds your own.".strip()
             self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
             return None
 

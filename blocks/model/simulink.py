@@ -9,6 +9,8 @@ from functools import cache
 from importlib import resources
 from typing import NamedTuple
 
+from ..text.printable import quoted
+
 
 class Word(NamedTuple):
     """A term of Simulink. here: its equivalent. blocks: the types among it. see: a place of the documentation."""
@@ -35,6 +37,12 @@ def words() -> Mapping[str, Word]:
 def word_of(name: str) -> Word | None:
     """Return the entry of a term in any case and spacing, or None if there is none."""
     return next((word for word in words().values() if _plain(word.name) == _plain(name)), None)
+
+
+def hint(name: str) -> str:
+    """Return a sentence with the equivalent of a term, or "" if it is none."""
+    word = word_of(name)
+    return f"The equivalent of {quoted(word.name)}: {word.here}" if word else ""
 
 
 def _plain(name: str) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -93,6 +94,15 @@ def test_a_condition_that_is_true_at_the_start_gives_one_row(engine):
     results = run.finish()
     assert results.t.tolist() == [0.0]
     assert run.ended.code == "W307"
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_row_that_ends_at_once_says_so_before_the_measures_that_it_lacks(engine):
+    rows = falling().sweep({"floor": [20.0, 5.0]}, stop=5, stop_when="height.y <= floor", engine=engine)
+    begins = [re.findall(r"W[0-9]{3} [a-z_.]+", message) for message in rows.messages]
+    assert begins == [["W307 run.stop_when", "W301 measures.highest"], ["W307 run.stop_when", "W301 measures.late"]]
+    assert "the run ended at t = 0 s: height.y <= floor." in rows.messages[0]
+    assert rows.measures["highest"][1] == HEIGHT
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -253,7 +263,8 @@ def test_each_row_of_a_batch_ends_on_its_own(lanes):
     assert {*rows.status} == {"ok"}
     for k, (pull,) in enumerate(table):
         single = d.run(stop=3, stop_when=condition, parameters={"pull.k": pull}, log=["h"], every=0.25)
-        assert any(str(warning).startswith(rows.messages[k]) for warning in [*single.warnings, ""])
+        own = [f"{warning.code} {warning.place}: {warning.message}" for warning in single.warnings]
+        assert rows.messages[k] == " ".join(sorted(own, reverse=True))
         count = int(np.sum(np.isin(rows.t, single.t)))
         assert np.isnan(rows.signals["h"][k][count:]).all()
         same = np.array_equal if lanes == "exact" else np.allclose

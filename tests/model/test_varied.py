@@ -72,7 +72,7 @@ def test_rows_of_a_batch_keep_the_elements_that_all_rows_are_given() -> None:
     rows = tables().batch(["k[1]"], **given)([[7], [8]])
     assert rows.signals["bound.y"].tolist() == [[5, 7, 3], [5, 8, 3]]
     for name in ("k", "k[0]"):
-        with pytest.raises(UsageError, match="is both a column and a parameter of all rows"):
+        with pytest.raises(UsageError, match="varies from row to row, and has a value for all rows"):
             tables().batch([name], **given)
 
 

@@ -29,6 +29,26 @@ def test_every_public_name_is_there_and_the_list_is_sorted() -> None:
     assert all(getattr(blocks, name) is cls for name, cls in blocks.library.LIBRARY.items())
 
 
+def test_a_name_that_is_not_there_comes_with_its_equivalent_or_the_nearest_name() -> None:
+    """Also in `from blocks import name`, which makes a bare ImportError of an AttributeError."""
+    for name, hint in (
+        ("Scope", 'The equivalent of "Scope": No block: every signal can be recorded.'),
+        ("TransferFcn", 'The equivalent of "Transfer Fcn": `TransferFunction`'),
+        ("TransferFuntion", "Did you mean 'TransferFunction'?"),
+    ):
+        words = re.escape(f"module 'blocks' has no attribute '{name}'. {hint}")
+        with pytest.raises(ImportError, match=words):
+            exec(f"from blocks import {name}")
+        with pytest.raises(AttributeError, match=words):
+            getattr(blocks, name)
+        assert not hasattr(blocks, name)
+    from blocks import model  # a module, and "Model" is a term of Simulink
+
+    assert model.__name__ == "blocks.model"
+    with pytest.raises(ImportError, match="cannot import name 'nothing'"):
+        exec("from blocks import nothing")
+
+
 def test_rooms_above_are_called_by_name_from_one_place() -> None:
     """Imports by name are no way around the floors: rooms stand in api/late.py, modules that users name elsewhere."""
     found = {

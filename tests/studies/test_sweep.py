@@ -301,7 +301,7 @@ def test_what_is_not_installed_is_told_with_its_cure(
 
 def test_arguments_that_cannot_be_meant(tmp_path: Path) -> None:
     for given, said in (
-        ({"scenarios": {"loud": {"k": 3}}}, "E501 k: is both a column and a parameter of all rows"),
+        ({"scenarios": {"loud": {"k": 3}}}, "E501 k: varies from row to row, and has a value for all rows"),
         ({"scenarios": {"loud": 3}}, "scenarios.loud: must be a mapping from parameters to values"),
         ({"out": tmp_path / "a.csv"}, "E501 .*a.csv.*is not a format of sweeps. Use .parquet"),
         ({"measures": ["tip"]}, "no such measure. Did you mean 'top'"),

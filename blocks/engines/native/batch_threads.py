@@ -167,12 +167,12 @@ def _row(
         return Row.over(plan.name, budget)
     signals = kept["signals"][i]
     if status != _DONE:
-        return Row(steps, {}, _why(plan, kept, i), None, signals)
+        return Row(steps, {}, (_why(plan, kept, i),), None, signals)
     values, faults = measures.kept(kept["measured"][i], paths).results(float(kept["ended"][i]))
     ended, stop = float(kept["ended"][i]), plan.settings.stop
     if stop is not None and ended < stop:
         faults = (*faults, ended_by(plan.settings.stop_when, ended))
-    return Row(steps, values, faults[0] if faults else None, "ok", signals)
+    return Row.ok(steps, values, faults, signals)
 
 
 def _why(plan: Plan, kept: dict[str, Array], i: int) -> Fault:

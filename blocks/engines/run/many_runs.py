@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -18,27 +18,33 @@ from ...text.errors import BlocksError, Fault
 class Row:
     """What became of one run of many.
 
-    measures: by name; none where it failed. fault: why it failed, or why a measure has no value. status: of
-    `api.batch.STATUSES`; None where the code of the fault says it. signals: (rows, elements of all that is logged), as
-    far as it came.
+    measures: by name; none where it failed. faults: why it failed, or how it ended and why a measure has no value.
+    status: of `api.batch.STATUSES`; None where the code of the fault says it. signals: (rows, elements of all that is
+    logged), as far as it came.
     """
 
     steps: int
     measures: Mapping[str, float]
-    fault: Fault | None
+    faults: tuple[Fault, ...]
     status: str | None
     signals: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     @classmethod
     def failed(cls, error: BlocksError, *, is_refused: bool) -> Row:
-        return cls(0, {}, error.faults[0], "refused" if is_refused else None)
+        return cls(0, {}, error.faults[:1], "refused" if is_refused else None)
 
     @classmethod
     def over(cls, place: str, budget: int | None) -> Row:
         """One that was cut short. When it was does not count: that depends on when the clock was looked at."""
         cure = "Increase the budget, or check the values of this row: the run may be stiff or chatter."
         message = f"needs more than {budget} steps, the most that it may take."
-        return cls(budget or 0, {}, Fault("E313", place, message, cure), "budget")
+        return cls(budget or 0, {}, (Fault("E313", place, message, cure),), "budget")
+
+    @classmethod
+    def ok(cls, steps: int, measures: Mapping[str, float], faults: Iterable[Fault], signals: Array) -> Row:
+        """One that ran to its end. Of its warnings, the first of each code counts; how it ended comes first."""
+        first = {fault.code: fault for fault in reversed([*faults]) if fault.code in ("W301", "W307")}
+        return cls(steps, measures, tuple(first[code] for code in sorted(first, reverse=True)), "ok", signals)
 
 
 def cores() -> int:
