@@ -20,7 +20,7 @@ from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..fmi.exits import Ended
 from ..host.available_memory import Watch
-from ..results.results import Results
+from ..results.results import Event, Events, Results
 from ..text.arrays import Array
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError
 from .run.engine import Engine
@@ -153,7 +153,7 @@ class Simulation:
             columns[name] = (first, signal.shape, signal.unit)
             first += len(signal.references)
         return Results(
-            plan.name, recorded.t, recorded.values, columns, recorded.events, recorded.measures,
+            plan.name, recorded.t, recorded.values, columns, _told_once(recorded.events, plan), recorded.measures,
             replace(recorded.statistics, seconds=self.seconds), self.interrupted,
             warnings=(*self.found, *recorded.warnings, *(() if over is None else (over,))),
         )  # fmt: skip
@@ -197,3 +197,20 @@ class Simulation:
         if isinstance(plan, Plan) and plan.rates and abs(t / plan.base) > 2**53:
             message = f"{float(t)} s is more than 2^53 times {float(plan.base)} s, the common base of all ticks."
             raise ModelError(Fault("E119", plan.name, message, "Choose periods with a larger common base."))
+
+
+def _told_once(events: tuple[Event, ...] | Events, plan: Plan | Coupling) -> tuple[Event, ...] | Events:
+    """Return events with each indicator of an FMU once at each time: the event itself may turn the indicator back."""
+    parts = [plan] if isinstance(plan, Plan) else [unit.plan for unit in plan.units if unit.plan is not None]
+    foreign = {part.instances[fmu.instance].path for part in parts for fmu in part.foreign}
+    if not foreign:
+        return events
+    seen: set[Event] = set()
+
+    def is_new(event: Event) -> bool:
+        known = event in seen
+        if event.block in foreign:
+            seen.add(event)
+        return not known
+
+    return tuple(filter(is_new, events))

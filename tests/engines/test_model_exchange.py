@@ -33,6 +33,7 @@ from blocks import (
     Gain,
     Input,
     Integrator,
+    LookupTable,
     Parameter,
     PMDCMotor,
     Pulse,
@@ -252,6 +253,24 @@ def test_events_are_those_of_the_native_block(
     if name == "sampled":
         ticks = sorted({event.t for event in theirs.events if event.what == "time_event"})
         assert ticks == [k / 10 for k in range(1, 21)]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("master", [False, True])
+def test_an_indicator_that_its_event_turns_back_is_one_event(master: bool, engine: str, tmp_path: Path) -> None:
+    """u = 3 - t leaves the points of a table at 1, 2 and 3 s, and each time the next point takes the indicator over."""
+    table = Diagram("table")
+    table.wire(table.add("src", LookupTable(points=[0.0, 1.0, 2.0], values=[2.0, 1.0, 0.0])).u, table.input("u"))
+    table.output("y", "src.y")
+    table.export(tmp_path / "table.fmu", kinds=["ME"])
+    d = Diagram("d")
+    d.wire(d.add("falling", Integrator(y_start=3.0)).u, d.add("down", Constant(value=-1.0)).y)
+    d.wire(d.add("m", fmu(tmp_path / "table.fmu", kind="ME")).u, "falling.y")
+    if master:
+        d.wire(d.add("cs", fmu(MOTORS[0], kind="CS")).v, "m.y")
+    events = d.run(stop=4.0, engine=engine, trust=tmp_path).events
+    assert [(event.block, event.what) for event in events] == 3 * [("m", "leaves")]
+    assert [event.t for event in events] == pytest.approx([1.0, 2.0, 3.0], abs=1e-12)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
