@@ -81,7 +81,10 @@ def _refuse_coupled(flat: Flat) -> None:
     coupled = coupled_block(flat)
     if coupled:
         message = "is a Co-Simulation FMU, which hides its states, so that it has no linear model."
-        cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
+        cure = (
+            'Import it as "kind": "ME", or estimate the response by simulation (estimate_response). '
+            "overrides= takes the place of blocks and of Model Exchange FMUs only."
+        )
         raise AnalysisError(Fault("E703", coupled, message, cure))
 
 
