@@ -120,9 +120,9 @@ add("a", Saturation(lower=1, upper=1))
 add("a", Saturation(corners="round"))
     ModelError: E107 a.corners: must be one of located, clipped, not 'round'.
 add("a", Sum(signs="+x"))
-    ModelError: E107 a: signs must be a text of + and -, one for each input (signs = +x).
+    ModelError: E107 a.signs: signs must be a text of + and -, one for each input (signs = +x).
 add("a", Sum(signs=""))
-    ModelError: E107 a: signs must be a text of + and -, one for each input (signs = ).
+    ModelError: E107 a.signs: signs must be a text of + and -, one for each input (signs = ).
 add("a", Sum(signs=3.0))
     ModelError: E107 a.signs: must be a text, not 3.0.
 add("a", TransferFunction(num=[1.0, 2.0], den=[1.0]))
@@ -286,7 +286,7 @@ def test_what_a_class_reads_from_outside_counts_when_a_block_is_added(monkeypatc
     for k in range(3):
         diagram.add(f"before{k}", Wide(k=1.0 + k))
     monkeypatch.setitem(globals(), "LEAST", 5.0)
-    with pytest.raises(ModelError, match=r"E107 late: k must be above the least \(k = 2\.5\)"):
+    with pytest.raises(ModelError, match=r"E107 late\.k: k must be above the least \(k = 2\.5\)"):
         diagram.add("late", Wide(k=2.5))
     diagram.add("late", Wide(k=6.0))
     monkeypatch.setitem(globals(), "SIZE", 3)

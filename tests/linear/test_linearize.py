@@ -473,8 +473,8 @@ def test_names_that_python_control_takes_for_one_stay_apart() -> None:
         (("ghost", "b.y"), r'E501 "ghost": there is no such signal\. Signals: u, b\.y, b\.u\.'),
         (("u", ["b.y", "b.y"]), r"E501 b\.y: appears twice among the outputs\."),
         ((["u", "u"], "b.y"), r"E501 u: appears twice among the inputs\."),
-        (([], "b.y"), r"E501 inputs: must not be empty\. Name a signal\."),
-        (("u", []), r"E501 outputs: must not be empty\. Name a signal\."),
+        (([], "b.y"), r"E501 u: must name a signal\. Example"),
+        (("u", []), r"E501 y: must name a signal\. Example"),
         (("u[3]", "b.y"), r'E501 "u\[3\]": there is no such signal'),
     ],
 )
