@@ -82,7 +82,9 @@ class Draft:
         if sink not in wires:
             cure = did_you_mean(sink, wires)
             raise UsageError(Fault("E501", legible(sink), "is not wired.", cure))
-        self.value = replace(self.value, wires={key: text for key, text in wires.items() if key != sink})
+        self._open.setdefault("wires", dict(wires))
+        del self._open["wires"][sink]
+        self._probe = None
 
     def set(self, name: str, raw: object) -> None:
         """Give a parameter another value. Raises UsageError (E106, E501) and ModelError."""

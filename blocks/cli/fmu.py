@@ -117,8 +117,22 @@ def _alone(options: argparse.Namespace) -> Diagram:
     for fault in foreign.description.warnings:
         if fault.place == EXPERIMENT:
             say(str(fault))
+    _unwire_others(options, diagram, type(block).declaration)
     _rename_options(options, diagram, type(block).declaration)
     return diagram
+
+
+def _unwire_others(options: argparse.Namespace, diagram: Diagram, declared: Any) -> None:
+    """Leave inputs that no option gives to the FMU, which has their start values: some FMUs refuse to be given them."""
+    from ..api.entries import as_name
+
+    name = next(iter(diagram.value.blocks))
+    given = {_name(item) for item in options.input}
+    if "" in given:  # a file
+        return
+    for port, variable in declared.inputs.items():
+        if variable.default is not None and given.isdisjoint((port, as_name(port))):
+            diagram.unwire(f"{name}.{port}")
 
 
 def _with_sizes(options: argparse.Namespace) -> Any:

@@ -80,7 +80,7 @@ class CoupledUnit:
     links: where the elements of its inputs come from. names: those of the elements. continuous: for each, whether it
     may be extrapolated. outputs: its elements. feeds: for each output, the inputs that it depends on at once. is_sure:
     whether that is known and not assumed. step: its communication step. slots_in, slots_out: the variables of an FMU
-    that are set and got; picks: for each output its place among the elements of slots_out.
+    that are set and got, without inputs that keep their start values; picks: for each output its place among the elements of slots_out.
     """
 
     path: str
@@ -436,9 +436,10 @@ class _Coupler:
         places: dict[str, tuple[int, int]] = {}
         for name, variable in declaration.inputs.items():
             inner, size = foreign.variables[name], math.prod(interface.shape(variable))
-            slots.append(Slot(name, inner, len(links), size, *foreign.affine(name)))
-            places[inner.name] = (len(links), size)
             sources = [self.link(source) for source in block.sources[name]]
+            if not foreign.keeps(name, [index if row == "k" else math.nan for row, index in sources]):
+                slots.append(Slot(name, inner, len(links), size, *foreign.affine(name)))
+            places[inner.name] = (len(links), size)
             links += sources
             names += [f"{block.path}.{name}" + (f"[{e}]" if variable.shape != () else "") for e in range(size)]
             may = variable.type == "real" and inner.variability == "continuous"

@@ -10,6 +10,7 @@ References: System V Application Binary Interface 4.1, chapters 4 and 5; Microso
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,6 +32,9 @@ _LOAD, _DYNAMIC = 1, 2
 _NOBITS, _DYNSYM = 8, 11
 _NEEDED, _STRTAB, _STRSZ, _RPATH, _RUNPATH = 1, 5, 10, 15, 29
 _SHARED = 3
+
+OF_PYTHON = re.compile(r"_?Py[A-Z_]")
+"""How the symbols of Python begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +73,21 @@ def functions(stream: BinaryIO, size: int) -> frozenset[str] | None:
     """The names of all functions that an ELF library exports; None where they are not known."""
     try:
         begin = _at(stream, 0, min(size, 64))
-        return frozenset(_Elf(stream, size, begin).exported()) if begin.startswith(b"\x7fELF") else None
+        is_elf = begin.startswith(b"\x7fELF")
+        return frozenset(n for n, is_own in _Elf(stream, size, begin).symbols() if is_own) if is_elf else None
     except (_Truncated, struct.error):
         return None
+
+
+def takes_python(stream: BinaryIO, size: int) -> bool:
+    """Return whether an ELF library takes symbols of Python from the program that loads it."""
+    try:
+        begin = _at(stream, 0, min(size, 64))
+        if not begin.startswith(b"\x7fELF") or any("libpython" in name for name in inspect(stream, size).needed):
+            return False
+        return any(OF_PYTHON.match(name) for name, is_own in _Elf(stream, size, begin).symbols() if not is_own)
+    except (_Truncated, struct.error):
+        return False
 
 
 def _at(stream: BinaryIO, offset: int, count: int) -> bytes:
@@ -166,7 +182,8 @@ class _Elf:
         data = _at(self.stream, offset, min(LONGEST_NAME, max(0, self.size - offset)))
         return data.partition(b"\0")[0].decode("utf-8", "replace")
 
-    def exported(self) -> Iterator[str]:
+    def symbols(self) -> Iterator[tuple[str, bool]]:
+        """The symbols that it exports or needs, and whether they are its own."""
         sections = list(self._sections())
         for header in sections:
             if header[1] != _DYNSYM or header[6] >= len(sections):
@@ -176,8 +193,8 @@ class _Elf:
             table = _at(self.stream, header[4], header[5] - header[5] % struct.calcsize(layout))
             for symbol in struct.iter_unpack(layout, table):
                 name, section = symbol[0], symbol[3 if self.wide else 5]
-                if section and name < len(names):
-                    yield names[name : names.find(b"\0", name)].decode("utf-8", "replace")
+                if name < len(names):
+                    yield names[name : names.find(b"\0", name)].decode("utf-8", "replace"), section != 0
 
 
 def _windows(stream: BinaryIO, size: int) -> Binary:

@@ -39,7 +39,7 @@ from typing import Any, Protocol
 
 from ..text.errors import Fault, FMUError
 from .archive import Archive
-from .binary import Binary, inspect
+from .binary import OF_PYTHON, Binary, inspect, takes_python
 from .findings import quoted
 from .model_description import Description, Interface
 
@@ -161,6 +161,19 @@ def faults(archive: Archive, description: Description, kind: str) -> tuple[Fault
         message = f"it declares that it needs an external program to run, usually the tool that exported it{tool}."
         verdict.append(Fault("W202", archive.place, message, "Install that program on this machine."))
     return tuple(verdict)
+
+
+def takes_symbols_of_python(archive: Archive, description: Description, kind: str) -> bool:
+    """Return whether the binary for this machine takes symbols of Python from the program that loads it."""
+    interface = description.interface(kind)
+    try:
+        member = None if interface is None else find(archive.files, description, interface, archive.place)
+    except FMUError:
+        return False
+    if member is None or archive.files[member] > LARGEST:
+        return False
+    data = archive.read(member, LARGEST)
+    return takes_python(BytesIO(data), len(data))
 
 
 def clock_faults(description: Description, interface: Interface, place: str) -> tuple[Fault, ...]:
@@ -565,6 +578,9 @@ def refused(text: str, path: Path, place: str, missing: list[str] | None = None)
         return FMUError(Fault("E208", place, message, "Use a newer system, or build the FMU on an older system."))
     for pattern in _SYMBOL:
         if match := pattern.search(text):
+            if OF_PYTHON.match(match["name"]):
+                message = f"{name} needs the symbol {match['name']} of Python, so it runs only in a process of Python."
+                return FMUError(Fault("E208", place, message, "Run the FMU without isolate."))
             message = f"{name} needs the symbol {match['name']}, which no library on this machine has."
             return FMUError(Fault("E208", place, message, "Export the FMU with all of its code linked in."))
     if "failed to map segment" in text or "Operation not permitted" in text:

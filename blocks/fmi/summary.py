@@ -12,7 +12,7 @@ from ..text.errors import Fault
 from ..text.printable import aligned
 from .archive import DESCRIPTION, Archive
 from .description import parse
-from .library import binaries, faults, folders
+from .library import binaries, faults, folders, takes_symbols_of_python
 from .model_description import Description, ModelVariable, Type
 
 NAMES = {"ME": "Model Exchange", "CS": "Co-Simulation", "SE": "Scheduled Execution"}
@@ -21,11 +21,14 @@ MORE = ("calculatedParameter", "local")
 """Groups that are shown only where all variables are asked for."""
 MOST = 30
 """Variables of one group that are shown, unless all are asked for."""
+LONGEST = 80
+"""Characters of a license that are shown."""
 
 
 @dataclass(frozen=True)
 class Told:
-    """The summary of an FMU. verdicts: for each kind the faults that a run of it here would have."""
+    """The summary of an FMU. verdicts: for each kind the faults that a run of it here would have.
+    of_python: the kinds whose binary takes symbols of Python from the program that loads it."""
 
     place: str
     description: Description
@@ -33,6 +36,7 @@ class Told:
     has_sources: bool
     bytes: int
     verdicts: Mapping[str, tuple[Fault, ...]]
+    of_python: tuple[str, ...] = ()
 
     @property
     def errors(self) -> tuple[Fault, ...]:
@@ -60,7 +64,7 @@ class Told:
         d, e, cs = self.description, self.description.experiment, self.description.interface("CS")
         yield f"{self.place}: {d.name}, FMI {d.version}, {_kinds(d)}"
         yield from textwrap.wrap(d.doc, 100, initial_indent="  ", subsequent_indent="  ")
-        told = {"made by": d.tool, "on": d.date, "author": d.author, "license": d.license}
+        told = {"made by": d.tool, "on": d.date, "author": d.author, "license": _first_words(d.license)}
         if shown := ", ".join(f"{word} {text}" for word, text in told.items() if text):
             yield f"  {shown}"
         yield f"  binaries: {', '.join([*self.platforms, *(['sources'] if self.has_sources else [])]) or 'none'}"
@@ -80,6 +84,7 @@ class Told:
             wrong = [fault for fault in verdict if fault.code.startswith("E")]
             lines.append(f"{self.place}: {NAMES[kind]}: {'cannot run here' if wrong else 'should run here'}")
             lines += [f"  {fault}" for fault in verdict]
+            lines += ["  not with isolate: its binary takes symbols of Python"] if kind in self.of_python else []
         lines += [f"  {fault}" for fault in self.description.warnings]
         told = {*self.description.warnings, *(f for verdict in self.verdicts.values() for f in verdict)}
         warnings = sum(fault.is_warning for fault in told)
@@ -124,11 +129,18 @@ def tell(path: str | os.PathLike[str]) -> Told:
         ordered = {
             name: there[name] for name in sorted(there, key=lambda name: (name not in folders(description.fmi), name))
         }
-        return Told(archive.place, description, ordered, has_sources, os.path.getsize(path), verdicts)
+        of_python = tuple(kind for kind in kinds if takes_symbols_of_python(archive, description, kind))
+        return Told(archive.place, description, ordered, has_sources, os.path.getsize(path), verdicts, of_python)
 
 
 def _counted(n: int, what: str) -> str:
     return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _first_words(text: str) -> str:
+    """Return the first line of a text, cut after a word; some FMUs hold a whole license."""
+    line = next(iter(text.strip().splitlines()), "")
+    return textwrap.shorten(line, LONGEST, placeholder=" ...") if len(line) > LONGEST else line
 
 
 def _kinds(d: Description) -> str:

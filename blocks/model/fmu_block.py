@@ -13,7 +13,7 @@ import contextlib
 import copyreg
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -80,6 +80,12 @@ class Foreign:
         """Return a number of the FMU in SI."""
         value, offset = number * self.scales.get(name, 1.0), self.offsets.get(name, 0.0)
         return value + offset if offset else value
+
+    def keeps(self, name: str, values: Sequence[float]) -> bool:
+        """Return whether a variable has these values in SI from its start on, so that it need not be set."""
+        variable = self.variables[name]
+        start = () if variable.name in self.changed else _start(variable, self.path.name)
+        return bool(start) and all(value == self.si(name, float(own)) for value, own in zip(values, start, strict=True))
 
     def resized(self, values: Mapping[str, Value]) -> type[Block] | None:
         """The block class for given values of structural parameters; None where it is this one.

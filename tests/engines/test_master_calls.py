@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from blocks import CompareToConstant, Diagram, Gain, Integrator, Sine, fmu
+from blocks.cli import main
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 
 pytestmark = NEEDS_COMPILER
@@ -212,3 +213,25 @@ def test_an_fmu_that_stopped_at_an_event_stays_there_where_nobody_may_stop_soone
         told = [line.split() for line in file.read_text().splitlines()]
         assert "EnterEventMode" in [line[1] for line in told]
         assert len(tries(told, told[0][0])) == 1, engine
+
+
+@each_fmi
+def test_inputs_that_keep_their_start_values_are_never_set(
+    fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some FMUs refuse to be given them all in one call. A constant with another value is set."""
+    path = logging(tmp_path, fmi)
+    diagram = mixed(path)
+    made = same(diagram, tmp_path, monkeypatch)
+    assert {call for name, call in _sets(made) if name == "b"} == {"SetReal" if fmi == 2 else "SetFloat64"}
+    assert "SetBoolean" in {call for name, call in _sets(made) if name == "a"}
+    diagram.wire("b.on", diagram.input("on", type="bool", default=True))
+    assert "SetBoolean" in {call for name, call in _sets(same(diagram, tmp_path, monkeypatch)) if name == "b"}
+    (tmp_path / "calls").unlink()
+    assert main(["fmu", "run", str(path), "--kind", "CS", "--stop", "0.05"]) == 0
+    assert not [line for line in (tmp_path / "calls").read_text().splitlines() if line.split()[1].startswith("Set")]
+
+
+def _sets(made: list[list[str]]) -> list[tuple[str, str]]:
+    """The instance and the function of each call that sets something but the start of the run."""
+    return [(line[0], line[1]) for line in made if line[1].startswith("Set") and not line[1].startswith("SetupE")]

@@ -55,6 +55,7 @@ from blocks import (
 )
 from blocks.engines.master import native_master
 from blocks.engines.master.native_master import NativeMaster
+from blocks.fmi.summary import tell
 from blocks.results.results import Results
 from blocks.text.errors import FMUError, ModelError
 from tests.support.coupled_systems import (
@@ -82,7 +83,7 @@ from tests.support.places import ROOT
 Array = np.ndarray[Any, Any]
 
 PAPER = ROOT / "diagrams" / "paper"
-MOTORS = {2: ROOT / "fmus" / "PMDCMotor_fmi2.fmu", 3: ROOT / "fmus" / "PMDCMotor.fmu"}
+MOTORS = {2: ROOT / "fmus" / "PMDCMotor_fmi2.fmu", 3: PLAIN}
 IADRC = ROOT / "fmus" / "IADRC.fmu"
 IS_HERE = sys.platform == "linux"
 
@@ -674,6 +675,16 @@ def test_masses_that_are_python_programs_have_the_errors_of_the_table(
     told = TABLE if order == 0 else MEAN
     made = errors(a, b, engine, algorithm=algorithm, order=order, loops="solve")
     assert made == pytest.approx(told[algorithm, order], rel=0.01)
+
+
+@each_fmi
+def test_an_fmu_that_needs_python_is_not_isolated(tmp_path: Path, fmi: int) -> None:
+    path = slave(tmp_path, fmi, True)
+    assert "not with isolate: its binary takes symbols of Python" in tell(path).check()
+    assert "isolate" not in tell(MOTORS[fmi]).check()
+    assert Diagram.alone(fmu(path)).run(stop=0.1)["x"][-1] < 1.0
+    with pytest.raises(FMUError, match=r"E208 .* needs the symbol _?Py\w+ of Python.*Run the FMU without isolate"):
+        Diagram.alone(fmu(path, isolate=True)).run(stop=0.1)
 
 
 @each_fmi

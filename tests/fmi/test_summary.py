@@ -131,3 +131,18 @@ def test_scheduled_execution_alone_is_told_as_nothing_that_runs(
         assert "E205 x.fmu: it is for Scheduled Execution only, which blocks does not support. Export it for" in text
         assert text.endswith("1 error, 0 warnings; nothing was loaded\n")
         assert tell(path).entry()["runs"] == {"SE": False}
+
+
+def test_a_license_is_shown_by_its_first_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.fmu"
+    for license, shown in (
+        ("MIT", "license MIT"),
+        ("Granted to all&#10;provided that", "license Granted to all"),
+        ("word " * 300, "license " + "word " * 15 + "..."),
+    ):
+        text = f"""<fmiModelDescription fmiVersion="3.0" modelName="x" instantiationToken="{{x}}" license="{license}">
+          <CoSimulation modelIdentifier="x"/><ModelVariables/><ModelStructure/></fmiModelDescription>"""
+        with zipfile.ZipFile(path, "w") as made:
+            made.writestr("modelDescription.xml", text)
+        assert cli.main(["fmu", "info", str(path)]) == 0
+        assert f"  {shown}\n" in capsys.readouterr().out
