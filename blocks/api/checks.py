@@ -10,7 +10,8 @@ from ..compile.plan import Plan
 from ..compile.plan_builder import plan
 from ..compile.plan_summary import outline
 from ..model.diagram_value import DiagramValue, beside
-from ..model.flatten import Flat, flatten
+from ..model.flat_block import FlatBlock
+from ..model.flatten import Flat, flatten, is_stepped
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
 from ..model.varied import given_values
@@ -31,21 +32,25 @@ def flat_of(
     return flatten(value, resolver, overrides=overrides, settings=settings)
 
 
-def coupled_block(flat: Flat) -> str:
-    """Return the path of a block that a master steps, or "" if there is none."""
-    for block in flat.one_of_each:
-        foreign = block.interface.declaration.foreign
-        if foreign is not None and foreign.kind == "CS":
-            return block.path
-    return ""
+def coupled_block(flat: Flat) -> FlatBlock | None:
+    """Return the first block that a master steps."""
+    return next(filter(is_stepped, flat.one_of_each), None)
+
+
+def instead_of_steps(block: FlatBlock) -> str:
+    """Return how a block that a master steps becomes one with equations."""
+    if block.interface.declaration.foreign.description.interface("ME") is None:
+        return "The FMU is for Co-Simulation only: export it for Model Exchange"
+    return 'Import it as "kind": "ME"'
 
 
 def single_plan(flat: Flat) -> Plan:
     """Return the plan of a diagram. Raises ModelError (E118) if a master steps it."""
     coupled = coupled_block(flat)
-    if coupled:
+    if coupled is not None:
         message = "is a Co-Simulation FMU, which a master steps, so the diagram has no single system of equations."
-        raise ModelError(Fault("E118", coupled, message, 'Import it as "kind": "ME", or choose another variant.'))
+        cure = f"{instead_of_steps(coupled)}, or choose another variant."
+        raise ModelError(Fault("E118", coupled.path, message, cure))
     return plan(flat)
 
 

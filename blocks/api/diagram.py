@@ -782,11 +782,16 @@ class Diagram:
     def alone(cls, block: Block | LinearSystem, name: str = "") -> Diagram:
         """A diagram of one block, whose ports are its inputs and outputs: to run or to export it by itself.
 
-        What is no name of a diagram ("body.phi[1]", as FMUs have) becomes one ("body_phi_1").
+        What is no name of a diagram ("body.phi[1]", as FMUs have) becomes one ("body_phi_1"). The block has the name of
+        its type, or of the system of python-control that it is made of.
         """
         own: Block = _as_block(name or "alone", block)
         foreign = type(own).declaration.foreign
         kind = type(own).__name__ if foreign is None else as_name(type(own).__name__)
+        if own is not block:
+            from .foreign_systems import name_of
+
+            kind = name_of(block) or kind
         diagram = cls(name or kind, library=type(own) if foreign is None else ())
         handle = diagram.add(kind, own)
         ports = interface_of(diagram.value, kind, diagram._draft.resolver)
@@ -821,6 +826,9 @@ class Diagram:
         from ..export.exporter import export
         from ..text.version import __version__
 
+        for word, meant in (("version", "fmi"), ("fmi_version", "fmi"), ("kind", "kinds"), ("platform", "platforms")):
+            if word in words:
+                raise UsageError(Fault("E501", word, "is not an argument.", f"Did you mean '{meant}'?"))
         case = case_of(case, words, ModelWords)
         if name:
             check_name(name)

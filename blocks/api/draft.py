@@ -98,7 +98,7 @@ class Draft:
 
         before = self.value
         text = text_without(documents.dumps(before), name, before.folder, tuple(self.types.values()))
-        after = documents.loads(text, folder=before.folder)
+        after = documents.loads(text, file="", folder=before.folder)  # nobody sees this text
         # Blocks that stay as they were keep their classes: those of FMUs hold what was given beside the path.
         kept = {key: before.blocks[key] for key, entry in after.blocks.items() if before.blocks[key] == entry}
         self.value = replace(after, blocks={**after.blocks, **kept})

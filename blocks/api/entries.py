@@ -93,7 +93,12 @@ def block_entry(name: str, block: object, folder: str) -> tuple[dict[str, object
         raise UsageError(Fault("E501", name, f"{block.__name__} is a class, not a block.", cure))
     if not isinstance(block, Block):
         cure = "Add a Block, a Diagram or a subdiagram(...)."
-        raise UsageError(Fault("E501", name, f"{quoted(repr(block))} is not a block.", cure))
+        shown = repr(block)
+        if isinstance(block, (str, os.PathLike)):
+            shown = str(block)
+            made = {".fmu": "fmu", ".json": "subdiagram"}.get(Path(block).suffix.lower())
+            cure = f"Write {made}({str(block)[:200]!r})." if made else cure
+        raise UsageError(Fault("E501", name, f"{quoted(shown)} is not a block.", cure))
     known = type(block).declaration.parameters
     # None stands for what is not given; a file leaves it out.
     said = {k: v for k, v in block.parameters.items() if v is not None or known[k].default is not None}

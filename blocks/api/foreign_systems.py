@@ -16,9 +16,10 @@ from ..frequency.systems import is_of, polynomials
 from ..library.arithmetic import MatrixGain
 from ..library.continuous import StateSpace, TransferFunction, ZeroPoleGain
 from ..library.discrete import DiscreteStateSpace, DiscreteTransferFunction
+from ..model.diagram_value import is_name
 from ..text.arrays import Array
 from ..text.errors import Fault, UsageError
-from ..text.printable import counted
+from ..text.printable import counted, quoted
 from .entries import as_name
 
 _SAME = 1e-9
@@ -52,8 +53,17 @@ def as_block(name: str, system: object) -> Any:
     return system
 
 
+def name_of(system: Any) -> str:
+    """Return the name of a system of python-control; "" if it has none of its own, or none that a block can have."""
+    if not is_of(system, "InputOutputSystem"):
+        return ""
+    name = str(system.name)
+    ports = [as_name(label.partition("[")[0]) for label in (*system.input_labels, *system.output_labels)]
+    return name if is_name(name) and name not in ports else ""
+
+
 def _of_state_space(name: str, system: Any) -> Block:
-    names = {"inputs": _names(system.input_labels, "u"), "outputs": _names(system.output_labels, "y")}
+    names = _port_names(name, system)
     parts = [np.asarray(part) for part in (system.A, system.B, system.C, system.D)]
     return _state_space(name, system, parts, _period(name, system, is_static=system.nstates == 0), names)
 
@@ -65,7 +75,7 @@ def _of_polynomials(name: str, system: Any) -> Block:
     num, den = polynomials(system)[0][0]
     return _transfer_function(
         name, system, num, den, _period(name, system, is_static=max(len(num), len(den)) <= 1),
-        {"inputs": _names(system.input_labels, "u"), "outputs": _names(system.output_labels, "y")},
+        _port_names(name, system),
     )  # fmt: skip
 
 
@@ -123,6 +133,18 @@ def _period(name: str, system: Any, *, is_static: bool = False) -> float:
     if system.dt is None and not is_static:
         _refuse(name, system, "has dt=None.", "Give dt=0 for continuous time, or the period in s, as in dt=0.01.")
     return float(system.dt or 0.0)
+
+
+def _port_names(name: str, system: Any) -> dict[str, str]:
+    """Return the names of the ports of a system. Raises UsageError (E501) if two of them become the same name."""
+    known: dict[str, str] = {}
+    for label in (*system.input_labels, *system.output_labels):
+        other = known.setdefault(as_name(label), label)
+        if other != label:
+            both = f"{quoted(other)} and {quoted(label)}"
+            what = f"has the signals {both}, which both become {as_name(label)} in a diagram."
+            _refuse(name, system, what, "Rename one of them, with letters, digits and _ only.")
+    return {"inputs": _names(system.input_labels, "u"), "outputs": _names(system.output_labels, "y")}
 
 
 def _names(labels: Sequence[str], letter: str) -> str:

@@ -19,7 +19,7 @@ from ..model.hierarchy import Resolver
 from ..model.trust import Paths
 from ..text.errors import AnalysisError, Fault, UsageError
 from .case import Case, key_of
-from .checks import coupled_block, flat_of
+from .checks import coupled_block, flat_of, instead_of_steps
 from .given_values import at_rest, time_of
 from .last_made import LastMade, names_files
 from .run import Run, RunOptions, engine_of, started
@@ -79,13 +79,13 @@ def _of_run(run: Run, trust: Paths) -> Point:
 
 def _refuse_coupled(flat: Flat) -> None:
     coupled = coupled_block(flat)
-    if coupled:
+    if coupled is not None:
         message = "is a Co-Simulation FMU, which hides its states, so that it has no linear model."
         cure = (
-            'Import it as "kind": "ME", or estimate the response by simulation (estimate_response). '
+            f"{instead_of_steps(coupled)}, or estimate the response by simulation (estimate_response). "
             "overrides= takes the place of blocks and of Model Exchange FMUs only."
         )
-        raise AnalysisError(Fault("E703", coupled, message, cure))
+        raise AnalysisError(Fault("E703", coupled.path, message, cure))
 
 
 def _standing(

@@ -195,10 +195,16 @@ class _Parser(argparse.ArgumentParser):
                 message = f"{first[:60]} is not an option of this command."
             every = (action for parser in _every(self) for action in parser._actions)
             known = [option for action in every for option in action.option_strings]
-            cure = (did_you_mean(first.partition("=")[0], known) if first.startswith("-") else "") or cure
+            option = first.partition("=")[0].partition(" ")[0]
+            option = _MEANT.get(option, option) if _MEANT.get(option) in known else option
+            cure = (did_you_mean(option, known) if is_option else "") or cure
         if not message.endswith("."):
             message += "."
         raise UsageError(Fault("E501", place, message, cure))
+
+
+_MEANT = {"--type": "--kind"}
+"""Options as FMPy has them, and their names here."""
 
 
 def _short(word: str) -> str:

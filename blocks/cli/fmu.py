@@ -8,6 +8,8 @@ from collections.abc import Container, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..host.gc_pause import paused
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import legible
 from .option_values import assignments, check_writable
 from .options import Verbs, takes_json, takes_run, takes_several
 from .output import emit, printable, say, waiting
@@ -96,9 +98,10 @@ def _compile(options: argparse.Namespace) -> int:
 def _run_fmu(options: argparse.Namespace) -> int:
     """An FMU as a diagram of one block; its own times and steps hold unless the command gives others."""
     options.diagram, options.variants, options.trust = options.fmu, [], []
+    is_chosen = options.log is not None
     with waiting(f"reading {options.fmu}", quiet=options.json), paused():
         diagram = _alone(options)
-    return run_diagram(options, lambda: diagram)
+    return run_diagram(options, lambda: diagram, is_chosen=is_chosen)
 
 
 def _alone(options: argparse.Namespace) -> Diagram:
@@ -117,16 +120,47 @@ def _alone(options: argparse.Namespace) -> Diagram:
     for fault in foreign.description.warnings:
         if fault.place == EXPERIMENT:
             say(str(fault))
+    _check_names(options, _name_of_block(diagram), type(block).declaration)
     _unwire_others(options, diagram, type(block).declaration)
     _rename_options(options, diagram, type(block).declaration)
     return diagram
+
+
+def _name_of_block(diagram: Diagram) -> str:
+    """Return the name of the only block."""
+    return next(iter(diagram.value.blocks))
+
+
+def _check_names(options: argparse.Namespace, block: str, declared: Any) -> None:
+    """Refuse names of --set that the FMU does not have, and start values that are given to --start."""
+    known, inputs, variables = declared.parameters, declared.inputs, declared.foreign.variables
+    variable = str(options.start or "").partition("=")[0].strip()
+    if variable and f"{variable}_start" in known:
+        cure = f"A start value is a parameter: --set {options.start.replace(variable, f'{variable}_start', 1)}."
+        raise UsageError(Fault("E501", "--start", "is the time at which the run begins.", cure))
+    for name in filter(None, map(_name, options.parameters)):
+        if name in known or _whole(name) in known or "*" in name or name.startswith(f"{block}."):
+            continue
+        if _is_text(name, variables):
+            continue
+        cure = did_you_mean(name[:200], known) or f"Parameters: {', '.join([*known][:_SHOWN]) or 'none'}."
+        if name in inputs:
+            cure = f"It is an input: --input {name}=..."
+        elif f"{name}_start" in known:
+            cure = f"Its start value is a parameter: --set {name}_start=..."
+        raise UsageError(Fault("E106", legible(name), "the FMU has no such parameter.", cure))
+
+
+def _whole(name: str) -> str:
+    """Return the name of the array of an element."""
+    return name.rpartition("[")[0] if name.endswith("]") else name
 
 
 def _unwire_others(options: argparse.Namespace, diagram: Diagram, declared: Any) -> None:
     """Leave inputs that no option gives to the FMU, which has their start values: some FMUs refuse to be given them."""
     from ..api.entries import as_name
 
-    name = next(iter(diagram.value.blocks))
+    name = _name_of_block(diagram)
     given = {_name(item) for item in options.input}
     if "" in given:  # a file
         return
@@ -162,7 +196,7 @@ def _rename_options(options: argparse.Namespace, diagram: Diagram, declared: Any
     from ..api.entries import as_name
 
     foreign = declared.foreign
-    name = next(iter(diagram.value.blocks))
+    name = _name_of_block(diagram)
     # No wire carries a text: its start value is a parameter.
     texts = [item for item in options.input if _is_text(_name(item), foreign.variables)]
     start = [
@@ -170,7 +204,8 @@ def _rename_options(options: argparse.Namespace, diagram: Diagram, declared: Any
         for item in (*options.parameters, *texts)
     ]
     options.parameters = [
-        _renamed(item, f"{name}.{{}}") if _name(item) in declared.parameters else item for item in start
+        _renamed(item, f"{name}.{{}}") if {_name(item), _whole(_name(item))} & declared.parameters.keys() else item
+        for item in start
     ]
     # A port of the diagram is renamed if its name in the FMU is not allowed here ("a[1].b").
     ports = {

@@ -40,8 +40,11 @@ def add(verbs: Verbs) -> None:
     takes_library(run)
 
 
-def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None = None) -> int:
-    """made: gives the diagram, which is no file then."""
+def run_diagram(
+    options: argparse.Namespace, made: Callable[[], Diagram] | None = None, *, is_chosen: bool | None = None
+) -> int:
+    """made: gives the diagram, which is no file then. is_chosen: whether --log chose what is recorded, if it may not
+    be asked."""
     from ..api.case import sources
     from ..api.diagram import Diagram
     from ..results.arrow import target_of
@@ -59,7 +62,7 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
         raise UsageError(
             Fault("E501", diagram.name, "the run has no stop time.", 'Give --stop T, or "stop" in the file\'s "run".')
         )
-    shown = _shown(options, run.plan)
+    shown = _shown(options, run.plan, is_chosen=options.log is not None if is_chosen is None else is_chosen)
     for warning in run.plan.warnings:
         if warning.code != "W102":  # every state machine has some; `check` reports them
             say(str(warning))
@@ -211,18 +214,22 @@ def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
         plots.check_format(options.plot)
 
 
-def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
-    """Return the elements that --plot draws: the first four, or all of --log. Raises UsageError (E501)."""
+def _shown(options: argparse.Namespace, plan: Any, *, is_chosen: bool) -> list[str]:
+    """Return the elements that --plot draws: all of --log, or else the first four, of which inputs come last.
+
+    Raises UsageError (E501).
+    """
     if not options.plot:
         return []
     names: list[str] = []
-    for name in plan.log:
+    inputs = {name for name, *_ in plan.inputs}
+    for name in plan.log if is_chosen else sorted(plan.log, key=inputs.__contains__):
         shape = plan.signal(name).shape
         names += [f"{name}[{i}]" for i in range(shape[0])] if shape else [name]
     place = f"--plot {options.plot}"
     if not names:
         raise UsageError(Fault("E501", place, "no signal is recorded.", "Choose signals: --log SIGNAL."))
-    if options.log is None:
+    if not is_chosen:
         return names[:4]
     if len(names) > MOST_SHOWN:
         message = f"{len(names)} signals do not fit into one figure: the limit is {MOST_SHOWN}."

@@ -80,7 +80,8 @@ class CoupledUnit:
     links: where the elements of its inputs come from. names: those of the elements. continuous: for each, whether it
     may be extrapolated. outputs: its elements. feeds: for each output, the inputs that it depends on at once. is_sure:
     whether that is known and not assumed. step: its communication step. slots_in, slots_out: the variables of an FMU
-    that are set and got, without inputs that keep their start values; picks: for each output its place among the elements of slots_out.
+    that are set and got, without inputs that keep their start values; picks: for each output its place among the
+    elements of slots_out.
     """
 
     path: str

@@ -46,6 +46,12 @@ MOST_OMEGA = 1e9
 """rad/s: each turn of a fundamental takes time to look through."""
 
 
+def is_stepped(block: FlatBlock) -> bool:
+    """Return whether a master steps the block: an FMU for Co-Simulation."""
+    foreign = block.interface.declaration.foreign
+    return foreign is not None and foreign.kind == "CS"
+
+
 @dataclass(frozen=True, slots=True)
 class Flat:
     """A diagram without hierarchy. `diagram`: its source, which knows where the blocks stand in the text.
@@ -206,6 +212,8 @@ class _Flattener:
                 blocks.append(FlatBlock(leaf.path, leaf.resolved, sources))
         signals = self.signals()
         for key, code, message, cure in self.wrong_settings:
+            if key == "step" and any(is_stepped(block) for block in blocks):
+                cure += ' Steps between FMUs: "step" in "master" (master={"step": 0.01}, --master step=0.01).'
             spot_ = None if key in self.given else ("run", *key.split("."))
             self.tell(self.root, code, f"run.{key}", message, cure, spot_)
         self.check_steps()

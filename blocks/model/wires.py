@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, Literal, NamedTuple
@@ -304,6 +304,7 @@ class Wires:
         else:
             message = f"{name} has no input {quoted(port)}."
             cure = self.faults.guess(port, sink.inputs) or f"Inputs: {_listed(sink.inputs)}."
+            cure = _each(name, port, sink.inputs) or cure
             if isinstance(sink.block, DiagramScope) and port.partition(".")[0] in sink.block.children:
                 cure = f"A wire into a subdiagram must end at one of its inputs: {_listed(sink.inputs)}."
             if why := _why_no_port(sink, port):
@@ -349,6 +350,7 @@ class Wires:
                 message = f"{name} is a block, not a signal."
             outputs = ", ".join(f"{port}{_bracket(unit)}" for port, unit in sink.outputs.items()) or "none"
             cure = f"{self.faults.guess(port, sink.outputs)} Outputs: {outputs}.".strip()
+            cure = _each(name, port, sink.outputs) or cure
             if isinstance(sink.block, DiagramScope) and port.partition(".")[0] in sink.block.children:
                 cure = f"A wire from a subdiagram must begin at one of its outputs: {outputs}."
             if why := _why_no_port(sink, port):
@@ -773,6 +775,15 @@ def _flat(rows: object) -> Iterator[Any]:
     """The values of nested lists, in C order."""
     for item in rows if isinstance(rows, list) else ():
         yield from _flat(item) if isinstance(item, list) else (item,)
+
+
+def _each(name: str, port: str, ports: Collection[str]) -> str:
+    """Return the cure for a vector whose elements are ports of their own, as in FMUs of FMI 2; "" for no vector."""
+    found = [other for other in ports if indexed(other)[0] == port != other]
+    if not found:
+        return ""
+    shown = ", ".join(f"{name}.{other}" for other in found[:3]) + (" and so on" if len(found) > 3 else "")
+    return f"Each element is a port of its own: wire {shown}."
 
 
 def _why_no_port(sink: Sink, name: str) -> str:

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -348,3 +349,29 @@ def test_a_diagram_of_one_block_keeps_the_defaults_of_its_inputs() -> None:
     assert np.array_equal(results["omega"], given["omega"])
     with pytest.raises(UsageError, match=r"E502 v: the input has no value"):
         alone.run(stop=1)
+
+
+def test_a_path_that_is_added_as_a_block_is_refused_with_the_call_that_it_needs() -> None:
+    made = Diagram("d")
+    made.add("m", Gain())
+    for act in (made.add, made.swap):
+        with pytest.raises(UsageError, match=r"""E501 \w: "x.fmu" is not a block. Write fmu\('x.fmu'\)."""):
+            act("n" if act == made.add else "m", "x.fmu")
+        with pytest.raises(UsageError, match=r"Write subdiagram\('x.json'\)."):
+            act("n" if act == made.add else "m", Path("x.json"))
+
+
+def test_faults_of_a_diagram_made_in_python_have_no_place_in_a_text_after_a_removal() -> None:
+    made = Diagram("d")
+    for name in ("a", "b"):
+        made.add(name, Gain())
+    made.wire("a.u", "b.y")
+    made.remove("b")
+    with pytest.raises(ModelError, match=r"\AE101 a.u: input is not wired"):
+        made.check()
+
+
+def test_arguments_of_other_tools_are_refused_with_those_of_export() -> None:
+    for word, meant in (("version", "fmi"), ("fmi_version", "fmi"), ("kind", "kinds")):
+        with pytest.raises(UsageError, match=f"E501 {word}: is not an argument. Did you mean '{meant}'"):
+            Diagram("d").export("d.fmu", **{word: 2})  # type: ignore[arg-type]

@@ -232,6 +232,7 @@ def test_a_linear_model_of_a_diagram_is_a_block_and_a_part_of_the_algebra_of_pyt
         (signal.lti([], [-1 + 1j], 1), "has complex poles or zeros without their conjugates. Add the conjugate"),
         (signal.lti([], [-1 + 1j, -1 - 2j], 1), "has complex poles or zeros without their conjugates."),
         (signal.lti([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0))), "has 0 inputs and 1 output. Add an input"),
+        (ct.ss(SYSTEM, inputs="u-1", outputs="u+1"), 'the signals "u-1" and "u+1", which both become u_1 in a diagram'),
         (ct.frd([1, 1j], [1, 2]), "the FrequencyResponseData is measured data, which cannot be run. Fit a transfer"),
         (
             ct.nlsys(None, lambda t, x, u, params: u, inputs=1, outputs=1),
@@ -265,3 +266,11 @@ def test_a_system_with_values_that_its_block_refuses_is_refused_when_it_is_added
     with pytest.raises(ModelError) as caught:
         Diagram("d").add("p", system)
     assert str(caught.value).startswith(text)
+
+
+def test_a_system_with_a_name_keeps_it_where_it_is_alone() -> None:
+    named = ct.tf([1], [1, 1], name="plant")
+    assert [*Diagram.alone(named).value.blocks] == ["plant"] == [Diagram.alone(named).value.name]
+    assert [*Diagram.alone(named, "other").value.blocks] == ["plant"]
+    for without in (ct.tf([1], [1, 1]), ct.tf([1], [1, 1], name="u"), ct.tf([1], [1, 1], name="a b")):
+        assert [*Diagram.alone(without).value.blocks] == ["TransferFunction"]

@@ -1,5 +1,6 @@
 """`blocks fmu run`: the FMU's own names, FMUs without outputs, texts, wrong times, and archives that are no FMU."""
 
+import math
 import re
 import zipfile
 from fractions import Fraction
@@ -8,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from blocks import Diagram, FMUError, Results, fmu
+from blocks import Diagram, FMUError, MatrixGain, ModelError, Results, StateSpace, fmu
 from blocks.cli import main
 from blocks.compile.coupling import couple
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
@@ -176,3 +177,53 @@ def test_archives_are_named_where_a_diagram_is_meant(capsys: Printed, tmp_path: 
         assert main([*words]) != 0
         out, err = capsys.readouterr()
         assert re.search(said, out + err), out + err
+
+
+MOTOR = str(FMUS / "PMDCMotor.fmu")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--set", "foo=2"], "E106 foo: the FMU has no such parameter. Parameters: Ra, La, kb, "),
+        (["--set", "rA=2"], "Did you mean 'Ra'?"),
+        (["--set", "omega=1"], "E106 omega: .* --set omega_start=..."),
+        (["--set", "v=1"], "E106 v: .* --input v=..."),
+        (["--start", "omega=1"], "E501 --start: .* --set omega_start=1."),
+        (["--type", "ME"], "Did you mean '--kind'?"),
+        (["--kind", "CS", "--step", "0.01"], "E115 run.step: .* --master step=0.01"),
+    ],
+)
+def test_what_the_fmu_does_not_have_is_refused_with_what_is_meant(words: list[str], says: str, capsys: Printed) -> None:
+    assert main(["fmu", "run", MOTOR, "--stop", "1", *words]) == 2
+    assert re.search(says.replace("?", "[?]"), capsys.readouterr().err)
+
+
+def test_an_element_of_an_array_is_set_by_its_name(capsys: Printed) -> None:
+    decays = StateSpace(A=[[-1.0, 0.0], [0.0, -2.0]], B=[[0.0], [0.0]], C=[[1.0, 0.0], [0.0, 1.0]])
+    Diagram.alone(decays).export("decays.fmu")
+    assert main(["fmu", "run", "decays.fmu", "--stop", "1", "--set", "x_start[1]=5", "--out", "y.csv"]) == 0
+    assert Results.load("y.csv")["y"][-1].tolist() == pytest.approx([0, 5 * math.exp(-2)], abs=1e-4)
+
+
+def test_a_figure_shows_outputs_before_inputs(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    assert main(["fmu", "run", MOTOR, "--stop", "1", "--input", "v=6", "--plot", "x.svg"]) == 0
+    text = (tmp_path / "x.svg").read_text(encoding="utf-8")
+    assert text.index("omega") < text.index(">tau<") if ">tau<" in text else "omega" in text
+
+
+def test_elements_of_fmi_2_are_wired_one_by_one(tmp_path: Path) -> None:
+    inside = Diagram("vectors")
+    gain = inside.add("gain", MatrixGain(K=[[1.0, 0.0], [0.0, 1.0]]))
+    inside.wire(gain.u, inside.input("u", size=2, default=[1, 1]))
+    inside.output("y", gain.y)
+    inside.export("vectors.fmu", fmi=2)
+    made = Diagram("ring")
+    for name in "ab":
+        made.add(name, fmu("vectors.fmu"))
+    made.wire("a.u", "b.y")
+    with pytest.raises(ModelError) as caught:
+        made.check()
+    assert "wire a.u[0], a.u[1]." in str(caught.value)
+    assert "wire b.y[0], b.y[1]." in str(caught.value)

@@ -83,7 +83,7 @@ from tests.support.places import ROOT
 Array = np.ndarray[Any, Any]
 
 PAPER = ROOT / "diagrams" / "paper"
-MOTORS = {2: ROOT / "fmus" / "PMDCMotor_fmi2.fmu", 3: PLAIN}
+MOTORS = {2: ROOT / "fmus" / "PMDCMotor_fmi2.fmu", 3: ROOT / "fmus" / "PMDCMotor.fmu"}
 IADRC = ROOT / "fmus" / "IADRC.fmu"
 IS_HERE = sys.platform == "linux"
 

@@ -1531,6 +1531,14 @@ def test_fmus_of_co_simulation_have_no_linear_model() -> None:
         motor_of(MOTORS[0], kind="CS").linearize("v", "motor.omega")
 
 
+def test_an_fmu_for_co_simulation_only_is_not_imported_as_another_kind(tmp_path: Path) -> None:
+    Diagram.alone(FirstOrder()).export(tmp_path / "lag.fmu", kinds=["CS"])
+    lag = Diagram.alone(fmu(tmp_path / "lag.fmu"))
+    for asked in (lambda: lag.linearize("u", "y"), lag.plan):
+        with pytest.raises((AnalysisError, ModelError), match=r"E(703|118) .* for Co-Simulation only: export it"):
+            asked()
+
+
 @pytest.fixture
 def nothing_stays() -> Iterator[None]:
     """Every instance of an FMU is freed when nobody refers to what was made of it."""
