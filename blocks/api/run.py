@@ -44,6 +44,7 @@ from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageErr
 from ..text.json_number import is_number
 from ..text.printable import legible, quoted
 from ..text.quantity_text import quantity_of, read_quantity
+from .between_rows import finer
 from .case import Case, Inputs, sources
 from .given_values import time_of
 from .origin import origin_of
@@ -229,6 +230,7 @@ class Run:
         prepared.alike.model = getattr(self._simulation.engine, "model", None)
         prepared.alike.programs = getattr(self._simulation.engine, "compiled", None)
         self._exact = self.settings.start if state is None else self._simulation.exact
+        self._is_from_start = state is None
         # The results of a run that goes on begin there, or in the file where they go on.
         is_whole = state is None or (streaming is not None and streaming.part is not None)
         told = self.settings if is_whole else replace(self.settings, start=self._exact)
@@ -520,7 +522,19 @@ class Run:
                     self.advance_to(self.settings.stop)
         except KeyboardInterrupt:
             return self.results.changed(interrupted=True)
-        return self.results
+        results = self.results
+        is_repeatable = self._is_from_start and self._origin is not None
+        return results.changed(finer=self._finer(results)) if is_repeatable else results
+
+    def _finer(self, results: Results) -> Callable[[float], Results | None] | None:
+        """Return what repeats the run for figures, without keeping the run or its model."""
+        value, resolver = self._prepared.value, self._prepared.resolver
+        silent = RunOptions(progress=lambda *_: None, notice=lambda _: None)
+
+        def start(case: Case, likes: Iterable[Prepared]) -> Results:
+            return started(value, resolver, case, silent, likes=likes).finish()
+
+        return finer(self._prepared, self._case, results, start)
 
     @_by_one_thread
     def set(self, name: str, value: object) -> None:

@@ -78,5 +78,5 @@ def _page(options: argparse.Namespace, diagram: Diagram) -> str:
     variants = variants_of(options.variants)
     results = Results.load(options.results) if options.results else None
     if options.run:
-        results = diagram.run(variants=variants)
+        results = diagram.run(variants=variants).smooth()
     return page_of(diagram, results, variants=variants)

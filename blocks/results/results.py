@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO, Unpack, overload
@@ -32,6 +32,8 @@ BARS = "▁▂▃▄▅▆▇█"
 SPARKS = 10
 MOST = 40
 """Signals that a table names."""
+SMOOTH = 1500
+"""Rows of a grid in the width of a figure."""
 
 
 class Event(NamedTuple):
@@ -191,7 +193,8 @@ class Results(Shown):
     (`every`) only where `jumps` asks for it. measures: values by name (NaN where the run does not cover the window).
     events: all that fired, in order. interrupted: stopped by Ctrl-C. origin: what was run, where that is known.
     warnings: of FMUs while they ran, why measures have no value, what was not detected, and what differs from the
-    state that the run continued. The arrays cannot be changed; take a copy.
+    state that the run continued. finer: repeats the run with rows of a distance in s, for `smooth`; a copy or a pickle
+    has none. The arrays cannot be changed; take a copy.
     """
 
     diagram: str
@@ -204,6 +207,10 @@ class Results(Shown):
     interrupted: bool = False
     origin: Origin | None = None
     warnings: tuple[Fault, ...] = ()
+    finer: Callable[[float], Results | None] | None = field(default=None, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "finer": None}
 
     def __post_init__(self) -> None:
         for name in ("t", "values"):
@@ -232,6 +239,25 @@ class Results(Shown):
     def changed(self, **fields: object) -> Results:
         """The same with other fields; rows that lie in a file stay there."""
         return replace(self, **{"t": self.__dict__["t"], "values": self.__dict__["values"], **fields})
+
+    def smooth(self, window: tuple[float, float] | None = None) -> Results:
+        """Return the results of a run without a grid with rows between its own, as figures draw them.
+
+        The rows follow the interpolation of the solver: the run is repeated for them, on a grid of 1/1500 of the window
+        (by default of the whole run). Results of a grid, from a file, of a long run or of one with FMUs return
+        themselves.
+        """
+        if self.finer is None or not self.rows:
+            return self
+        first, last = window or self.span
+        fine = self.finer((last - first) / SMOOTH)
+        if fine is None:
+            return self
+        between = ~np.isin(fine.t, self.t)
+        t = np.concatenate([self.t, fine.t[between]])
+        order = np.argsort(t, kind="stable")  # the two rows of a jump keep their order
+        values = np.concatenate([self.values, fine.values[between]])
+        return self.changed(t=t[order], values=values[order], finer=None)
 
     def _block(self, first: int, count: int) -> Array:
         """Values of some columns: (rows, count)."""
@@ -438,10 +464,11 @@ class Results(Shown):
             raise UsageError(Fault("E501", "plot", message, cure))
         if not picked or not self.rows:
             raise UsageError(Fault("E501", "plot", "there is nothing to plot: no signal was recorded."))
+        drawn = self.smooth(_window_of(look))
         groups: dict[str, list[plots.Line]] = {}
         for index, name in enumerate(picked):
             column, unit = columns[name]
-            line = plots.Line(self.t, self._block(column, 1)[:, 0], name, index % len(plots.STYLES))
+            line = plots.Line(drawn.t, drawn._block(column, 1)[:, 0], name, index % len(plots.STYLES))
             # Signals of unknown unit do not share an axis: nothing says that they can be compared.
             groups.setdefault(unit or f"\0{name}", []).append(line)
         parts = []
@@ -485,6 +512,7 @@ class Results(Shown):
         """A panel for each signal, with a curve of each of the runs, of which this one is the first."""
         from . import plots
 
+        runs = {label: each.smooth(_window_of(look)) for label, each in runs.items()}
         known = {label: each._elements() for label, each in runs.items()}
         first = next(iter(runs))
         names = names or [name for name in known[first] if all(name in each for each in known.values())][:most]
@@ -519,6 +547,14 @@ class Results(Shown):
     def _elements(self) -> dict[str, tuple[int, str]]:
         """The column and the unit of each recorded element."""
         return {name: (column, unit) for name, column, unit in self.flat_columns()}
+
+
+def _window_of(look: Look) -> tuple[float, float] | None:
+    """Return the stretch of time that a figure shows, if it is given and fits."""
+    match look.get("xlim"):
+        case (first, last) if isinstance(first, (int, float)) and isinstance(last, (int, float)) and first < last:
+            return first, last
+    return None
 
 
 def _short(value: float) -> str:

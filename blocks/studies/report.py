@@ -219,6 +219,10 @@ def _ratios(verdicts: Sequence[Verdict]) -> object:
 
 def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> object:
     spectrum = entry.get("kind") == "spectrum"
+    if not spectrum:
+        used = {str(item["run"]) for panel in entry["panels"] for items in ("lines", "markers")
+                for item in panel.get(items, ()) if "run" in item}  # fmt: skip
+        results = {name: each.smooth() if name in used else each for name, each in results.items()}
     window = (float(entry.get("from", -math.inf)), float(entry.get("to", math.inf)))
     parts = []
     for panel in entry["panels"]:

@@ -10,10 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Constant, Diagram, Integrator, Product, Results, SimulationError, Sine, StateSpace, Step, UsageError
+from blocks import (
+    BouncingBall,
+    Constant,
+    Diagram,
+    Integrator,
+    Product,
+    Results,
+    SimulationError,
+    Sine,
+    StateSpace,
+    Step,
+    UsageError,
+)
 from blocks.engines.run.recording import CHUNK, Recording
 from blocks.model.fingerprint import fingerprint
 from blocks.results.results import Event, Events, Signal, Statistics
+
+GRAVITY = 9.81
 
 
 def results(**settings: Any) -> Results:
@@ -330,3 +344,57 @@ def test_a_figure_has_the_size_the_ranges_and_the_labels_that_are_given() -> Non
 def test_a_look_that_no_figure_can_have_is_refused(look: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         results().plot("r", "x.y", **look)
+
+
+def ball(engine: str, **settings: Any) -> Results:
+    """A ball from 2.5 m that keeps 0.9 of its speed: each flight is one step."""
+    diagram = Diagram("ball")
+    diagram.add("ball", BouncingBall(e=0.9, h_start=2.5))
+    return diagram.run(engine=engine, **{"stop": 12, **settings})
+
+
+def flights(t: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """The height of the ball, by the parabola of each flight."""
+    begins, speeds = [0.0], [0.0]
+    begins.append(math.sqrt(2 * 2.5 / GRAVITY))
+    speeds.append(0.9 * math.sqrt(2 * 2.5 * GRAVITY))
+    while begins[-1] < t[-1]:
+        begins.append(begins[-1] + 2 * speeds[-1] / GRAVITY)
+        speeds.append(0.9 * speeds[-1])
+    flight = np.maximum(np.searchsorted(begins, t, side="right") - 1, 0)
+    since, height = t - np.array(begins)[flight], np.where(flight == 0, 2.5, 0.0)
+    return height + np.array(speeds)[flight] * since - GRAVITY * since**2 / 2
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_a_figure_follows_the_solver_between_the_rows(engine: str) -> None:
+    made = ball(engine)
+    line = made.plot("ball.h").axes[0].lines[0]
+    t, h = line.get_xdata(), line.get_ydata()
+    assert np.abs(h - flights(t)).max() < 1e-6
+    at = np.linspace(0, 12, 5000)
+    assert np.abs(np.interp(at, t, h) - flights(at)).max() < 1e-4  # g (8 ms)^2 / 8: impacts have rows
+    assert np.abs(np.interp(at, made.t, made["ball.h"]) - flights(at)).max() > 0.05  # lines from step to step
+    smooth = made.smooth()
+    rows = np.isin(smooth.t, made.t)
+    assert np.array_equal(smooth.t[rows], made.t)
+    assert np.array_equal(smooth.values[rows], made.values)
+    assert made.smooth((0.0, 0.1)).rows > smooth.rows
+
+
+def test_results_whose_run_is_not_repeated_have_their_own_rows(tmp_path: Path) -> None:
+    gridded = ball("native", every=0.5)
+    assert gridded.smooth() is gridded
+    made = ball("native")
+    made.save(tmp_path / "ball.csv")
+    for each in (pickle.loads(pickle.dumps(made)), Results.load(tmp_path / "ball.csv")):
+        assert each.smooth() is each
+    # The input of the run is another one by the time of the figure.
+    diagram = Diagram("given")
+    diagram.wire(diagram.add("x", Integrator()).u, diagram.input("u"))
+    table = tmp_path / "u.csv"
+    table.write_text("time,u\n0,1\n1,3\n")
+    again = diagram.run(stop=1, inputs=table)
+    assert again.smooth().rows > again.rows
+    table.write_text("time,u\n0,1\n1,4\n")
+    assert again.smooth() is again
