@@ -23,7 +23,8 @@ def add(verbs: Verbs) -> None:
     drawing.add_argument("diagram", metavar="DIAGRAM")
     drawing.add_argument("-o", "--out", metavar="FILE", help="the file to write (default: stdout)")
     drawing.add_argument("--depth", metavar="N", type=int, default=1, help="levels of subdiagrams to show (default 1)")
-    drawing.add_argument("--html", action="store_true", help="write a page that zooms and opens subdiagrams")
+    page = "write a page that zooms and opens subdiagrams, as -o FILE.html does"
+    drawing.add_argument("--html", action="store_true", help=page)
     given = drawing.add_mutually_exclusive_group()
     results = "with --html: show the signals of this result file (.csv, .parquet, .mat)"
     given.add_argument("--results", metavar="FILE", help=results)
@@ -39,9 +40,10 @@ def _draw(options: argparse.Namespace) -> int:
 
     if not 1 <= options.depth <= 30:
         raise UsageError(Fault("E501", f"--depth {options.depth}", "must be 1 to 30: the number of levels to show."))
+    options.html = options.html or (options.out or "").lower().endswith((".html", ".htm"))
     if not options.html and (options.results or options.run):
         what = "--run" if options.run else "--results"
-        raise UsageError(Fault("E501", what, "works for a page only.", "Add --html."))
+        raise UsageError(Fault("E501", what, "works for a page only.", "Add --html, or -o FILE.html."))
     diagram = Diagram.load(options.diagram, library=options.library)
     text = _page(options, diagram) if options.html else _svg(options, diagram)
     if options.out in (None, "-"):
@@ -55,7 +57,7 @@ def _draw(options: argparse.Namespace) -> int:
 
 def _svg(options: argparse.Namespace, diagram: Diagram) -> str:
     if options.out not in (None, "-") and not options.out.lower().endswith(".svg"):
-        cure = "Name it FILE.svg; browsers and Inkscape convert it. --html writes a page."
+        cure = "Name it FILE.svg, or FILE.html for a page. A browser prints an SVG as PDF; Inkscape writes PNG and PDF."
         raise UsageError(Fault("E501", options.out, "the format is not supported: drawings are SVG.", cure))
     return diagram.draw(depth=options.depth, variants=variants_of(options.variants))
 

@@ -86,12 +86,12 @@ def takes_inputs(verb: argparse.ArgumentParser, *, files: bool = False) -> None:
     takes_several(verb, "--input", "NAME=VALUE", value)
 
 
-def takes_work(verb: argparse.ArgumentParser, what: str) -> None:
-    """How many runs are computed. what: the rows or candidates that the file is of."""
+def takes_work(verb: argparse.ArgumentParser, what: str, more: str = "") -> None:
+    """How many runs are computed. what: the rows or candidates that the file is of. more: what it may be, too."""
     verb.add_argument("--threads", metavar="N", help="number of runs at the same time (default: all cores)")
     lanes = "exact (the default), or fast: several runs together on each core, equal within the tolerance"
     verb.add_argument("--lanes", metavar="L", default="exact", help=lanes)
-    out = f"write all {what} (.parquet); the same command continues an interrupted one from its partial file"
+    out = f"write all {what} (.parquet); the same command continues an interrupted one from its partial file{more}"
     verb.add_argument("-o", "--out", metavar="FILE", help=out)
     restart = "start over: do not continue from the partial file of --out"
     verb.add_argument("--restart", action="store_true", help=restart)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ..text.atomic_write import known_ending
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from ..text.quantity_text import value_in
@@ -70,7 +71,7 @@ def add(verbs: Verbs) -> None:
         "--max-steps", metavar="N", help="the largest number of steps of a run (default: 1000 times the median)"
     )
     is_renamed(verb, "--budget", "--max-steps")
-    takes_work(verb, "rows")
+    takes_work(verb, "rows", "; .csv: parameters and measures alone, written at the end")
     address = "run the rows on the workers of this dask scheduler; --out may be a folder or a URL that they write to"
     plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
     verb.add_argument("--plot", metavar="FILE", help=plot)
@@ -91,8 +92,10 @@ def _sweep(options: argparse.Namespace) -> int:
     given = {"n": options.n, "max-steps": options.max_steps, "threads": options.threads, "seed": options.seed}
     counts = {key: _count(key, text) for key, text in given.items()}
     case = case_of(options)
-    is_file = not options.dask or (options.out or "").lower().endswith(".parquet")
+    is_table = (options.out or "").lower().endswith(".csv")
+    is_file = not options.dask or is_table or (options.out or "").lower().endswith(".parquet")
     if options.out and is_file:
+        known_ending(options.out, (".csv", ".parquet"), "sweeps")
         check_writable("--out", options.out, [options.diagram])
     if options.plot:
         check_writable("--plot", options.plot, [options.diagram])
@@ -112,7 +115,7 @@ def _sweep(options: argparse.Namespace) -> int:
                 lanes=options.lanes,
                 sampler=options.sampler,
                 scenarios=scenarios_of(options.scenario),
-                out=options.out,
+                out=None if is_table else options.out,
                 restart=options.restart,
                 on=options.dask,
                 progress=progress,
@@ -122,6 +125,8 @@ def _sweep(options: argparse.Namespace) -> int:
         progress.shown.clear()
     ended_at_once()
     tell_faults(sweep.warnings, options.json)
+    if is_table:
+        sweep.to_csv(options.out)
     _report(options, sweep, time.perf_counter() - begun)
     if options.plot and sweep.counts().get("ok"):
         plots.save(sweep.plot(), options.plot)
@@ -129,6 +134,7 @@ def _sweep(options: argparse.Namespace) -> int:
             print(printable(f"  figure in {options.plot}"))
     if sweep.interrupted:
         kept = f"; the same command goes on from {options.out}{'.part' * is_file}" if options.out else ""
+        kept = f"; {options.out} has no number for these" if is_table else kept
         say(f"interrupted: {counted(sweep.counts().get('left', 0), 'row')} not run{kept}")
         return INTERRUPTED
     return 0 if sweep.counts().get("ok") else 3

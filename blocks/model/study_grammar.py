@@ -330,7 +330,7 @@ _CURVE = (
     Field("style", Scalar(
         what=f"an integer from 0 to {_LAST_STYLE}, or null for a dotted line", low=0, high=_LAST_STYLE, is_whole=True,
         is_null=True,
-    ), "The number of its color and pattern; null: dotted."),
+    ), "The number of its color and pattern; null: dotted. Without it, the next that no other line of the panel has."),
     Field("scale", NUMBER, "A factor of its values.", 1),
 )  # fmt: skip
 LINE = Object(*_CURVE, name="line", doc="A curve.")

@@ -6,6 +6,7 @@ It asks for nothing from any network, follows the reader's light or dark setting
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import platform
@@ -226,7 +227,9 @@ def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> object:
     window = (float(entry.get("from", -math.inf)), float(entry.get("to", math.inf)))
     parts = []
     for panel in entry["panels"]:
-        lines = tuple(_line(item, results, window, spectrum) for item in panel["lines"])
+        styles = _styles([item.get("style", "") for item in panel["lines"]])
+        lines = tuple(_line(item, style, results, window, spectrum)
+                      for item, style in zip(panel["lines"], styles, strict=True))  # fmt: skip
         markers = tuple(_marker(item, results, window) for item in panel.get("markers", []))
         band, inset = panel.get("band"), panel.get("inset")
         parts.append(
@@ -262,14 +265,21 @@ def _signal(
     return signal.t[inside], np.asarray(signal)[inside] * float(item.get("scale", 1.0))
 
 
+def _styles(given: Sequence[Any]) -> list[int | None]:
+    """Return a style for each line of a panel: the given one (None: dotted), or, for "", the next that no other has."""
+    numbers = range(len(plots.STYLES))
+    free = itertools.cycle([k for k in numbers if k not in given] or numbers)
+    return [next(free) if style == "" else None if style is None else int(style) for style in given]
+
+
 def _line(
-    item: Mapping[str, Any], results: Mapping[str, Results], window: tuple[float, float], spectrum: bool
-) -> plots.Line:
+    item: Mapping[str, Any], style: int | None, results: Mapping[str, Results], window: tuple[float, float],
+    spectrum: bool,
+) -> plots.Line:  # fmt: skip
     x, y = _signal(item, results, window)
     if spectrum:
         x, y = amplitude_spectrum(x, y)
-    style = item.get("style", 0)
-    return plots.Line(x, y, str(item.get("label", item["signal"])), None if style is None else int(style))
+    return plots.Line(x, y, str(item.get("label", item["signal"])), style)
 
 
 def _marker(item: Mapping[str, Any], results: Mapping[str, Results], window: tuple[float, float]) -> plots.Marker:

@@ -7,6 +7,7 @@ sweep["heavy"].correlations()      # statistics are of one scenario
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from ..api.batch import STATUSES
 from ..host.ipython_errors import UnknownName
 from ..results.table import optional, unique
 from ..text.arrays import Array
+from ..text.atomic_write import known_ending, write_atomically
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import counted, legible
 from ..text.rich_output import Part, Shown, Table, as_text
@@ -115,18 +117,36 @@ class Sweep(Shown):
         Raises UsageError (E504).
         """
         pandas = optional("pandas", "to_pandas")
-        first: dict[str, object] = {"number": self.number, "status": self.status.astype(object)}
+        frame = pandas.DataFrame(self._columns())
+        frame.attrs.update(diagram=self.name, units=dict(self.units))
+        return frame
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the table as CSV, a row for each run, without signals and units: these are in `save`'s Parquet.
+
+        Raises UsageError (E501).
+        """
+        known_ending(path, (".csv",), "tables")
+        table = self._columns()
+        with write_atomically(path) as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(table)
+            writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
+
+    def _columns(self) -> dict[str, Array]:
+        """Return the columns of the table by name, (n,) each: number, parameters, measures, and how each run went."""
+        first: dict[str, Array] = {"number": self.number, "status": self.status.astype(object)}
         if self.scenarios:
             first = {"scenario": np.array(self.scenarios, dtype=object)[self.scenario], **first}
-        last = {"message": self.messages, "steps": self.steps, "seed": self.seeds}
+        last: dict[str, Array] = {
+            "message": np.array(self.messages, dtype=object), "steps": self.steps, "seed": self.seeds,
+        }  # fmt: skip
         # A parameter may be called as a measure is, or as one of these.
         names = unique([*first, *last, *self.varied, *self.measures], longest=1000)
         columns = [*first.values(), *last.values(), *self.varied.values(), *self.measures.values()]
-        frame = pandas.DataFrame(dict(zip(names, columns, strict=True)))
         head, rest = len(first), len(first) + len(last)
-        frame = frame[[*names[:head], *names[rest:], *names[head:rest]]]
-        frame.attrs.update(diagram=self.name, units=dict(self.units))
-        return frame
+        table = dict(zip(names, columns, strict=True))
+        return {name: table[name] for name in (*names[:head], *names[rest:], *names[head:rest])}
 
     def to_xarray(self) -> object:
         """Return an xarray Dataset: measures (scenario, row), signals (scenario, row, time, ...).

@@ -11,6 +11,7 @@ import pytest
 from blocks import Results, UsageError
 from blocks.cli import main
 from blocks.results.results import Results as Made
+from tests.support.places import ROOT
 
 T = np.array([0.0, 1.0, 2.0])
 
@@ -70,3 +71,12 @@ def test_the_command_names_files_in_the_legend(tmp_path: Path, capsys: pytest.Ca
     ]:
         assert main(["plot", str(a), *command]) == 2
         assert capsys.readouterr().err.startswith(told)
+
+
+def test_the_ending_says_that_a_drawing_is_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    motor = str(ROOT / "diagrams" / "motor_pid.json")
+    page, plain = tmp_path / "a.html", tmp_path / "b.html"
+    assert main(["draw", motor, "-o", str(page)]) == main(["draw", motor, "--html", "-o", str(plain)]) == 0
+    assert page.read_bytes() == plain.read_bytes()
+    assert main(["draw", motor, "-o", str(tmp_path / "a.pdf")]) == 2
+    assert "Name it FILE.svg, or FILE.html for a page." in capsys.readouterr().err

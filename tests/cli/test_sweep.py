@@ -129,6 +129,19 @@ def test_a_sweep_is_that_of_python(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 @NATIVE
+def test_rows_go_to_a_csv_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "rows.csv"
+    assert told(capsys, "--vary", "kp=10,20", "--measure", "ITAE", "--out", str(out))[0] == 0
+    head, *rows = [line.split(",") for line in out.read_text().splitlines()]
+    assert head == ["number", "status", "kp", "ITAE", "message", "steps", "seed"]
+    for row, kp in zip(rows, (10, 20), strict=True):
+        run = Diagram.load(MOTOR).run(parameters={"kp": kp}, engine="native")
+        assert (row[1], float(row[2]), float(row[3])) == ("ok", kp, run.measures["ITAE"])
+    status, _ = told(capsys, "--vary", "kp=10,20", "--out", str(tmp_path / "rows.xlsx"))
+    assert status == 2
+
+
+@NATIVE
 def test_bands_are_drawn_and_formats_are_checked_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     figure = tmp_path / "bands.png"
     words = ["--vary", "kp=uniform:10,20", "--n", "8", "--log", "motor.omega"]

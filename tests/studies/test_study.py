@@ -247,6 +247,18 @@ def test_stretches_of_time_stand_beside_each_other_on_a_scale_of_their_own() -> 
     assert (drawn[0], drawn[-1]) == (8, 9)
 
 
+def test_lines_without_a_style_differ_from_all_others_of_their_panel(tmp_path: Path) -> None:
+    lines = [{"run": "stiff", "signal": name, **style} for name, style in (
+        ("motor.omega", {}), ("motor.i", {"style": 1}), ("control.u", {}), ("motor.omega", {"style": None}),
+        ("control.u", {}),
+    )]  # fmt: skip
+    path = motor_study(tmp_path / "s.json", claims=[], figures=[{"name": "f", "panels": [{"lines": lines}]}])
+    loaded = study.load(path)
+    figure = report._figure(loaded.figures[0], study.run(loaded).results)
+    drawn = [line.get_color() for line in figure.axes[0].lines]
+    assert drawn == [plots.STYLES[0][0], plots.STYLES[1][0], plots.STYLES[2][0], plots.INK, plots.STYLES[3][0]]
+
+
 def test_numbers_stand_right_below_their_heads_and_carry_them_on_a_phone() -> None:
     made = report_page.table([("run", "value", "unit"), ("a", "-1.5e3", "V"), ("b", "-", "")], kinds={"V": "good"})
     assert '<th class="">run</th><th class="number">value</th><th class="">unit</th>' in made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import signal
 import subprocess
@@ -122,6 +123,19 @@ def test_files_hold_all_of_a_sweep(whole: Sweep, tmp_path: Path) -> None:
     frame = pandas.read_parquet(tmp_path / "a.parquet")
     np.testing.assert_array_equal(frame["ITAE"], whole.measures["ITAE"])
     np.testing.assert_array_equal(np.stack(frame["out.y"]), whole.signals["out.y"])
+
+
+def test_a_table_of_a_sweep_is_csv_with_every_digit(whole: Sweep, tmp_path: Path) -> None:
+    whole.to_csv(tmp_path / "a.csv")
+    with open(tmp_path / "a.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0])[:3] == ["scenario", "number", "status"]
+    assert [row["scenario"] for row in rows] == [whole.scenarios[k] for k in whole.scenario]
+    for name, column in {**whole.varied, **whole.measures, "seed": whole.seeds, "steps": whole.steps}.items():
+        np.testing.assert_array_equal([float(row[name]) for row in rows], column)
+    assert "out.y" not in rows[0]
+    with pytest.raises(UsageError, match=r"E501 .*a\.txt: the ending '\.txt' is not a format of tables. Use \.csv"):
+        whole.to_csv(tmp_path / "a.txt")
 
 
 KILLED = """
