@@ -44,7 +44,7 @@ from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageErr
 from ..text.json_number import is_number
 from ..text.printable import legible, quoted
 from ..text.quantity_text import quantity_of, read_quantity
-from .between_rows import finer
+from .between_rows import BetweenRows
 from .case import Case, Inputs, sources
 from .given_values import time_of
 from .origin import origin_of
@@ -522,19 +522,18 @@ class Run:
                     self.advance_to(self.settings.stop)
         except KeyboardInterrupt:
             return self.results.changed(interrupted=True)
-        results = self.results
-        is_repeatable = self._is_from_start and self._origin is not None
-        return results.changed(finer=self._finer(results)) if is_repeatable else results
+        return self.results.changed(between=self._between_rows())
 
-    def _finer(self, results: Results) -> Callable[[float], Results | None] | None:
-        """Return what repeats the run for figures, without keeping the run or its model."""
+    def _between_rows(self) -> BetweenRows:
+        """Return how its signals go between the rows."""
         value, resolver = self._prepared.value, self._prepared.resolver
         silent = RunOptions(progress=lambda *_: None, notice=lambda _: None)
 
         def start(case: Case, likes: Iterable[Prepared]) -> Results:
             return started(value, resolver, case, silent, likes=likes).finish()
 
-        return finer(self._prepared, self._case, results, start)
+        is_repeatable = self._is_from_start and self._origin is not None
+        return BetweenRows(self._prepared, self._case, start if is_repeatable else None)
 
     @_by_one_thread
     def set(self, name: str, value: object) -> None:

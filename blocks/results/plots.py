@@ -13,7 +13,7 @@ import io
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -58,7 +58,7 @@ _LETTERS = 84
 class Line:
     """One curve: x and y of shape (n,), what it is, and the number of its style (None: dotted ink).
 
-    look: "line"; "wide", pale below the others, which it may equal; or "points".
+    look: "line"; "wide", pale below the others, which it may equal; or "points". names: of its values.
     """
 
     x: Array
@@ -66,6 +66,7 @@ class Line:
     label: str
     style: int | None = 0
     look: str = "line"
+    names: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,10 @@ class Marker:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One pair of axes. band: a grey span of x; inset: (x0, x1, y0, y1) that is also shown enlarged."""
+    """One pair of axes. band: a grey span of x; inset: (x0, x1, y0, y1) that is also shown enlarged.
+
+    names: of the values along y.
+    """
 
     lines: tuple[Line, ...]
     ylabel: str
@@ -89,6 +93,7 @@ class Panel:
     inset: tuple[float, float, float, float] | None = None
     log: bool = False
     height: float = 1.0
+    names: Mapping[int, str] = field(default_factory=dict)
 
 
 class Look(TypedDict, total=False):
@@ -126,6 +131,17 @@ def defaults(own: Mapping[str, object] | None = None) -> Iterator[None]:
         dict.update(settings, {key: known[key] for key in known if not key.startswith("backend")})
         settings.update(own or {})
         yield
+
+
+def stepped(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return a curve that keeps each value until the next row, (n,) and (n,), with two points at each change."""
+    changes = np.flatnonzero((y[1:] != y[:-1]) & (x[1:] > x[:-1])) + 1
+    return np.insert(x, changes, x[changes]), np.insert(y, changes, y[changes - 1])
+
+
+def shared_names(lines: Sequence[Line]) -> Mapping[int, str]:
+    """Return the names of the values of all these lines; none if they have different names."""
+    return lines[0].names if all(line.names == lines[0].names for line in lines) else {}
 
 
 def plain(text: str) -> str:
@@ -267,6 +283,9 @@ def _draw(part: Panel, axis: Axes) -> None:
     axis.grid(True, **GRID)
     if part.log:
         axis.set_yscale("log")
+    if part.names:
+        axis.set_yticks([*part.names], [plain(name) for name in part.names.values()], fontsize=8)
+        axis.set_ylim(min(part.names) - 0.3, max(part.names) + 0.3)
     for marker in part.markers:
         color = INK if marker.style is None else STYLES[marker.style][0]
         axis.plot([marker.x], [marker.y], "o", color=color, markersize=5, markerfacecolor="none")

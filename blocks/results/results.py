@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TextIO, Unpack, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TextIO, Unpack, overload
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from .step_info import step_info
 from .table import FileTable, optional, unique
 
 if TYPE_CHECKING:
-    from .plots import Look
+    from .plots import Line, Look
 
 BARS = "▁▂▃▄▅▆▇█"
 SPARKS = 10
@@ -185,6 +185,18 @@ class _Measures(dict[str, float]):
         raise UnknownName(f"there is no measure {name!r}. {f'{did_you_mean(str(name), self)} {known}'.strip()}")
 
 
+class Between(Protocol):
+    """How the signals of a run go between its rows."""
+
+    def finer(self, results: Results, every: float) -> Results | None:
+        """Return the same run with rows at this distance in s, if that can be."""
+        ...
+
+    def held(self, names: Iterable[str]) -> Mapping[str, Mapping[int, str]]:
+        """Return which signals change at instants only, with the names of their values if they have names."""
+        ...
+
+
 @dataclass(frozen=True, repr=False)
 class Results(Shown):
     """Recorded signals of one run, by name.
@@ -193,8 +205,8 @@ class Results(Shown):
     (`every`) only where `jumps` asks for it. measures: values by name (NaN where the run does not cover the window).
     events: all that fired, in order. interrupted: stopped by Ctrl-C. origin: what was run, where that is known.
     warnings: of FMUs while they ran, why measures have no value, what was not detected, and what differs from the
-    state that the run continued. finer: repeats the run with rows of a distance in s, for `smooth`; a copy or a pickle
-    has none. The arrays cannot be changed; take a copy.
+    state that the run continued. between: how the signals go between the rows, for figures; a pickle has none. The
+    arrays cannot be changed; take a copy.
     """
 
     diagram: str
@@ -207,10 +219,10 @@ class Results(Shown):
     interrupted: bool = False
     origin: Origin | None = None
     warnings: tuple[Fault, ...] = ()
-    finer: Callable[[float], Results | None] | None = field(default=None, compare=False)
+    between: Between | None = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "finer": None}
+        return {**vars(self), "between": None}
 
     def __post_init__(self) -> None:
         for name in ("t", "values"):
@@ -247,17 +259,17 @@ class Results(Shown):
         (by default of the whole run). Results of a grid, from a file, of a long run or of one with FMUs return
         themselves.
         """
-        if self.finer is None or not self.rows:
+        if self.between is None or self.stored is not None:
             return self
         first, last = window or self.span
-        fine = self.finer((last - first) / SMOOTH)
+        fine = self.between.finer(self, (last - first) / SMOOTH)
         if fine is None:
             return self
-        between = ~np.isin(fine.t, self.t)
-        t = np.concatenate([self.t, fine.t[between]])
+        added = ~np.isin(fine.t, self.t)
+        t = np.concatenate([self.t, fine.t[added]])
         order = np.argsort(t, kind="stable")  # the two rows of a jump keep their order
-        values = np.concatenate([self.values, fine.values[between]])
-        return self.changed(t=t[order], values=values[order], finer=None)
+        values = np.concatenate([self.values, fine.values[added]])
+        return self.changed(t=t[order], values=values[order])
 
     def _block(self, first: int, count: int) -> Array:
         """Values of some columns: (rows, count)."""
@@ -467,16 +479,29 @@ class Results(Shown):
         drawn = self.smooth(_window_of(look))
         groups: dict[str, list[plots.Line]] = {}
         for index, name in enumerate(picked):
-            column, unit = columns[name]
-            line = plots.Line(drawn.t, drawn._block(column, 1)[:, 0], name, index % len(plots.STYLES))
+            unit = columns[name][1]
+            line = drawn.line(name, name, index % len(plots.STYLES))
             # Signals of unknown unit do not share an axis: nothing says that they can be compared.
             groups.setdefault(unit or f"\0{name}", []).append(line)
         parts = []
         for key, lines in groups.items():
             single = lines[0].label if len(lines) == 1 else ""
             unit = "" if key.startswith("\0") else f"[{key}]"
-            parts.append(plots.Panel(tuple(lines), f"{single} {unit}".strip() or "value"))
+            parts.append(
+                plots.Panel(tuple(lines), f"{single} {unit}".strip() or "value", names=plots.shared_names(lines))
+            )
         return plots.panels(parts, xlabel="time [s]", title=self.diagram, look=look)
+
+    def line(self, name: str, label: str, style: int | None, look: str = "line") -> Line:
+        """Return the curve of a signal for figures: in steps if it changes at instants only. Raises KeyError."""
+        from . import plots
+
+        values, whole = self[name], name if name in self.columns else name.partition("[")[0]
+        x, y = self.t, np.asarray(values)
+        held = {} if self.between is None else self.between.held([whole])
+        if whole in held:
+            x, y = plots.stepped(x, y)
+        return plots.Line(x, y, label, style, look, held.get(whole, {}))
 
     def step_info(
         self,
@@ -532,16 +557,16 @@ class Results(Shown):
                 if name not in known[label]:
                     cure = did_you_mean(name, known[label]) or f"Signals: {', '.join([*known[label]][:20])}."
                     raise UsageError(Fault("E501", label, f"there is no signal {quoted(name)}.", cure))
-                column, own = known[label][name]
+                own = known[label][name][1]
                 unit = unit or own
                 if own and not units.same_quantity(own, unit):
                     message = f"has the unit {unit} in {first} and {own} in {label}: they are different quantities."
                     raise UsageError(Fault("E505", name, message))
-                values = each._block(column, 1)[:, 0]
+                line = each.line(name, label, style)
                 factor, offset = units.affine(own, unit)
-                scaled = factor * values + offset if own and own != unit else values
-                lines.append(plots.Line(each.t, scaled, label, style))
-            parts.append(plots.Panel(tuple(lines), f"{name} [{unit}]" if unit else name))
+                lines.append(replace(line, y=factor * line.y + offset) if own and own != unit else line)
+            label = f"{name} [{unit}]" if unit else name
+            parts.append(plots.Panel(tuple(lines), label, names=plots.shared_names(lines)))
         return plots.panels(parts, xlabel="time [s]", look=look)
 
     def _elements(self) -> dict[str, tuple[int, str]]:

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..editing.edits import Edit
 from ..results import plots
 from ..results.results import Results, Signal
@@ -111,9 +109,9 @@ def short(value: float) -> str:
 
 def panel_of(name: str, before: Results, after: Results, label: str = "after", *data: plots.Line) -> plots.Panel:
     """Return a panel of a signal before and after. label: of the run after. data: is drawn between the two."""
-    first = plots.Line(before.t, np.asarray(before[name]), "before", 0, "wide")
-    last = plots.Line(after.t, np.asarray(after[name]), label, 1)
-    return plots.Panel((first, *data, last), name + unit_of(after[name]), height=1.5 if data else 1.0)
+    first, last = before.smooth().line(name, "before", 0, "wide"), after.smooth().line(name, label, 1)
+    height, names = 1.5 if data else 1.0, plots.shared_names((first, last))
+    return plots.Panel((first, *data, last), name + unit_of(after[name]), height=height, names=names)
 
 
 def unit_of(signal: Signal) -> str:

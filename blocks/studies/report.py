@@ -261,8 +261,9 @@ def _signal(
     except KeyError:
         cure = did_you_mean(name, results[run].names) or f"Recorded: {', '.join(results[run].names)}."
         raise ModelError(Fault("E105", f"figures: {run}.{name}", "the run did not record this signal.", cure)) from None
-    inside = (signal.t >= window[0]) & (signal.t <= window[1])
-    return signal.t[inside], np.asarray(signal)[inside] * float(item.get("scale", 1.0))
+    line = results[run].line(name, name, 0) if signal.ndim == 1 else plots.Line(signal.t, np.asarray(signal), name)
+    inside = (line.x >= window[0]) & (line.x <= window[1])
+    return line.x[inside], line.y[inside] * float(item.get("scale", 1.0))
 
 
 def _styles(given: Sequence[Any]) -> list[int | None]:

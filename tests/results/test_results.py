@@ -14,6 +14,7 @@ from blocks import (
     BouncingBall,
     Constant,
     Diagram,
+    FirstOrder,
     Integrator,
     Product,
     Results,
@@ -26,6 +27,7 @@ from blocks import (
 from blocks.engines.run.recording import CHUNK, Recording
 from blocks.model.fingerprint import fingerprint
 from blocks.results.results import Event, Events, Signal, Statistics
+from tests.contract.test_types import Cycle
 
 GRAVITY = 9.81
 
@@ -398,3 +400,19 @@ def test_results_whose_run_is_not_repeated_have_their_own_rows(tmp_path: Path) -
     assert again.smooth().rows > again.rows
     table.write_text("time,u\n0,1\n1,4\n")
     assert again.smooth() is again
+
+
+def test_held_signals_are_drawn_in_steps_and_enumerations_by_name() -> None:
+    diagram = Diagram("machine")
+    cycle, lag = diagram.add("cycle", Cycle()), diagram.add("lag", FirstOrder(T=1.0))
+    diagram.wire(lag.u, cycle.half)
+    made = diagram.run(stop=4.2, every=0.7)
+    phase, half, smooth = (made.plot(name).axes[0] for name in ("cycle.phase", "cycle.half", "lag.y"))
+    assert [text.get_text() for text in phase.get_yticklabels()] == ["IDLE", "RUN", "STOP"]
+    for axis, name in ((phase, "cycle.phase"), (half, "cycle.half")):
+        t, y = axis.lines[0].get_xdata(), axis.lines[0].get_ydata()
+        assert set(y) == set(made[name]), "no value that the signal never has"
+        assert not np.any((np.diff(t) > 0) & (np.diff(y) != 0)), "no slopes"
+        at = np.linspace(0.01, 4.19, 997)
+        np.testing.assert_array_equal(np.interp(at, t, y), made[name][np.searchsorted(made.t, at, side="right") - 1])
+    np.testing.assert_array_equal(smooth.lines[0].get_xdata(), made.t)
