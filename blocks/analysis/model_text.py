@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from ..linear.transfer import LoopOfRates, Transfer
 from ..model.copies import alike
 from ..text.errors import AnalysisError, Fault
 from ..text.printable import counted
+
+if TYPE_CHECKING:
+    from ..results.plots import Look
 
 
 def _numbers(values: object) -> list[list[float]]:
@@ -164,9 +167,12 @@ def _notes(model: Transfer | DelayedModel) -> Iterator[str]:
         yield f"  not part of this path: {', '.join(idle[:8])}{more}"
 
 
-def figure(model: Transfer | DelayedModel, kind: str, known: Margins | DiskMargins | None) -> Any:
+def figure(
+    model: Transfer | DelayedModel, kind: str, known: Margins | DiskMargins | None, look: Look | None = None
+) -> Any:
     """A matplotlib figure: "bode", "nyquist", "nichols", "sigma" (of a loop: of S and T), "step" (of a loop: of the
     closed one) or "poles"; "": sigma of a loop at several signals, else bode. known: as of `lines`."""
+    look = look or {}
     from ..frequency import figures
     from ..frequency.figure_curves import shown_of, span_of
 
@@ -182,19 +188,19 @@ def figure(model: Transfer | DelayedModel, kind: str, known: Margins | DiskMargi
     if kind == "sigma" and is_loop:
         shown = {f"{part} of {name}": system for part, system in sensitivities(model).items()}
         omega = span_of(shown_of({"L": model, **shown}, "sigma"), None)
-        return figures.sigma(shown, omega, margins=known if isinstance(known, DiskMargins) else None)
+        return figures.sigma(shown, omega, margins=known if isinstance(known, DiskMargins) else None, **look)
     if kind == "sigma":
-        return figures.sigma({name: model})
+        return figures.sigma({name: model}, **look)
     if isinstance(model, DelayedModel) and kind not in ("bode", "nyquist", "nichols"):
         message = "the loop has exact delays, but this figure needs a state space."
         raise AnalysisError(Fault("E707", ins, message, "Replace the delays by Padé models: --pade 3."))
     if isinstance(model, DelayedModel) or kind in ("bode", "nyquist", "nichols"):
-        return getattr(figures, kind)({name: model}, margins=known if isinstance(known, Margins) else False)
+        return getattr(figures, kind)({name: model}, margins=known if isinstance(known, Margins) else False, **look)
     if kind == "poles":
-        return figures.pole_map({name: model})
+        return figures.pole_map({name: model}, **look)
     if is_loop:
-        return figures.step_figure({f"{model.name}: loop closed at {ins}": model.closed()})
-    return figures.step_figure({name: model})
+        return figures.step_figure({f"{model.name}: loop closed at {ins}": model.closed()}, **look)
+    return figures.step_figure({name: model}, **look)
 
 
 def _pole(p: complex) -> str:

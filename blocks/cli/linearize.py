@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
 from ..text.quantity_text import value_in
-from .option_values import assignments, case_of, check_writable, number_of, raw_number
-from .options import Verbs, takes_json, takes_library, takes_point, takes_several
+from .option_values import assignments, case_of, check_writable, look_of, number_of, raw_number
+from .options import Verbs, takes_json, takes_library, takes_point, takes_several, takes_size
 from .output import emit, printable, say
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def add(verbs: Verbs) -> None:
     pade = "replace delays by Padé models of this order; without it, margins of a loop use exact delays"
     linear.add_argument("--pade", metavar="N", type=int, default=0, help=pade)
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
+    takes_size(linear)
     linear.add_argument(
         "--figure",
         choices=FIGURES,
@@ -86,6 +87,7 @@ def _linearize(options: argparse.Namespace) -> int:
         plots.check_format(options.plot)
     elif options.figure is not None:
         raise UsageError(Fault("E501", "--figure", "has no file to draw to.", "Add --plot FILE.svg."))
+    look = look_of(options)
     if options.pade < 0:
         raise UsageError(Fault("E501", f"--pade {options.pade}", "is not an order of a Padé model.", "Use 1 to 10."))
     is_loop = bool(options.loops)
@@ -113,7 +115,7 @@ def _linearize(options: argparse.Namespace) -> int:
     if options.plot:
         from ..results import plots
 
-        plots.save(figure(model, options.figure or "", known), options.plot)
+        plots.save(figure(model, options.figure or "", known, look), options.plot)
         say(f"figure in {options.plot}")
     return 0
 

@@ -19,6 +19,7 @@ from ..text.quantity_text import value_in
 
 if TYPE_CHECKING:
     from ..api.case import Case
+    from ..results.plots import Look
 
 TIMES = ("start", "stop", "step", "every")
 """The settings that are times."""
@@ -45,6 +46,21 @@ def time_of(option: str, text: str | None) -> object:
         cure = f'Begin an expression with "=": --{option} "={text}".'
         raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not a number.", cure))
     return number_of(option, text)
+
+
+def look_of(options: argparse.Namespace) -> Look:
+    """Return the look of the figure that is asked for. Raises UsageError (E501)."""
+    if options.size is None:
+        return {}
+    width, _, height = options.size.lower().partition("x")
+    try:
+        size = float(width), float(height)
+        if not 0.5 <= min(size) <= max(size) <= 100:
+            raise ValueError(size)
+    except ValueError:
+        message, cure = "is not a width and a height from 0.5 to 100 inches.", "Example: --size 3.5x2.2."
+        raise UsageError(Fault("E501", f"--size {options.size}", message, cure)) from None
+    return {"size": size}
 
 
 def raw_number(value: Any) -> Any:

@@ -59,6 +59,7 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--plot", metavar="FILE", help="draw the first four signals, or those of --log, over time: .svg, .png, .pdf"
     )
+    takes_size(run)
     run.add_argument("--save", metavar="STATE", help="write the state at the stop time, for --resume")
     run.add_argument(
         "--resume",
@@ -84,6 +85,11 @@ def takes_inputs(verb: argparse.ArgumentParser, *, files: bool = False) -> None:
         return
     value = "the value of an input of the diagram (default: its own, or 0)"
     takes_several(verb, "--input", "NAME=VALUE", value)
+
+
+def takes_size(verb: argparse.ArgumentParser) -> None:
+    """Take the size of the figure that the command draws."""
+    verb.add_argument("--size", metavar="WxH", help="width and height of the figure in inches: 3.5x2.2")
 
 
 def takes_work(verb: argparse.ArgumentParser, what: str, more: str = "") -> None:

@@ -7,8 +7,8 @@ import os
 
 from ..text.element_names import matching
 from ..text.errors import Fault, UsageError
-from .option_values import check_writable
-from .options import Verbs, takes_several
+from .option_values import check_writable, look_of
+from .options import Verbs, takes_several, takes_size
 from .output import printable
 
 MOST = 8
@@ -26,6 +26,7 @@ def add(verbs: Verbs) -> None:
     signal = "draw this signal, or all that match a pattern (motor.*); may be repeated; without it, the first four"
     takes_several(plot, "--signal", "NAME", signal)
     plot.add_argument("-o", "--out", metavar="FILE", required=True, help="the file to write: .svg, .png, .pdf")
+    takes_size(plot)
     plot.set_defaults(verb=_plot)
 
 
@@ -55,7 +56,7 @@ def _plot(options: argparse.Namespace) -> int:
             cure = f"Signals: {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}."
             raise UsageError(Fault("E501", f"--signal {asked}", f"matches no signal of {first}.", cure))
     beside = {label: runs[label] for label in others}
-    figure = runs[first].plot(*names, most=MOST if names else 4, label=first, beside=beside)
+    figure = runs[first].plot(*names, most=MOST if names else 4, label=first, beside=beside, **look_of(options))
     plots.save(figure, options.out)
     print(printable(options.out))
     return 0

@@ -14,7 +14,7 @@ from ..fmi.exits import telling
 from ..host.gc_pause import paused
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.printable import counted
-from .option_values import case_of, check_writable
+from .option_values import case_of, check_writable, look_of
 from .options import Verbs, takes_library, takes_run, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, silence, tell_faults, waiting
 from .stop_signals import INTERRUPTED, ended_at_once
@@ -173,7 +173,7 @@ def _written(
     elif options.out:
         wanted.append((options.out, rows, lambda: run.keep(results)))
     if options.plot and results.rows:
-        figure = partial(results.plot, *shown, most=len(shown))
+        figure = partial(results.plot, *shown, most=len(shown), **look_of(options))
         wanted.append((options.plot, f"figure in {options.plot}", lambda: plots.save(figure(), options.plot)))
     written: list[str] = []
     refused: list[Fault] = []
@@ -211,6 +211,7 @@ def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
         check_writable("--save", options.save, read)
     if options.plot:
         check_writable("--plot", options.plot, read)
+        look_of(options)
         plots.check_format(options.plot)
 
 

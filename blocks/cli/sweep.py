@@ -12,7 +12,7 @@ from ..text.atomic_write import known_ending
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from ..text.quantity_text import value_in
-from .option_values import as_options, assignments, case_of, check_writable, number_of
+from .option_values import as_options, assignments, case_of, check_writable, look_of, number_of
 from .options import (
     Verbs,
     is_renamed,
@@ -24,6 +24,7 @@ from .options import (
     takes_parameters,
     takes_settings,
     takes_several,
+    takes_size,
     takes_trust,
     takes_variants,
     takes_work,
@@ -75,6 +76,7 @@ def add(verbs: Verbs) -> None:
     address = "run the rows on the workers of this dask scheduler; --out may be a folder or a URL that they write to"
     plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
     verb.add_argument("--plot", metavar="FILE", help=plot)
+    takes_size(verb)
     verb.add_argument("--dask", metavar="ADDRESS", help=address)
     takes_engine(verb)
     takes_variants(verb)
@@ -100,6 +102,7 @@ def _sweep(options: argparse.Namespace) -> int:
     if options.plot:
         check_writable("--plot", options.plot, [options.diagram])
         plots.check_format(options.plot)
+    look = look_of(options)
     progress = _Progress(options.json)
     begun = time.perf_counter()
     with waiting(f"reading and compiling {options.diagram}", quiet=options.json):
@@ -129,7 +132,7 @@ def _sweep(options: argparse.Namespace) -> int:
         sweep.to_csv(options.out)
     _report(options, sweep, time.perf_counter() - begun)
     if options.plot and sweep.counts().get("ok"):
-        plots.save(sweep.plot(), options.plot)
+        plots.save(sweep.plot(**look), options.plot)
         if not options.json:
             print(printable(f"  figure in {options.plot}"))
     if sweep.interrupted:

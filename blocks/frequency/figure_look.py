@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..results import plots
-from ..results.plots import GRID, INK, STYLES, WIDTH, ink, plain
+from ..results.plots import GRID, INK, STYLES, WIDTH, Look, ink, plain
 from ..text.arrays import Array
 from .systems import Source
 
@@ -49,8 +49,13 @@ class Shown:
         return self.known.points is not None
 
 
-def new_figure(rows: int, columns: int, *, height: float, width: float = WIDTH, share: bool = False) -> tuple[Any, Any]:
-    figure = plots.new_figure(width, height)
+def new_figure(
+    rows: int, columns: int, *, height: float, width: float = WIDTH, share: bool = False, look: Look | None = None
+) -> tuple[Any, Any]:
+    """Return a figure and its axes. look: may have another size. Raises UsageError (E501) for one that cannot be."""
+    size = (look or {}).get("size", (width, height))
+    plots.check_look({"size": size}, rows * columns)
+    figure = plots.new_figure(*size)
     axes = figure.subplots(rows, columns, sharex="col" if share else False)
     for axis in np.ravel(axes):
         axis.grid(True, **GRID)
@@ -97,8 +102,10 @@ def tick_degrees(axis: Axes, *, which: str = "y") -> None:
     (axis.yaxis if which == "y" else axis.xaxis).set_major_locator(MultipleLocator(step))
 
 
-def finished(figure: Figure, named: Any = None, shown: Sequence[Shown] = ()) -> Figure:
-    """The figure in its colors. named: the axes that name the systems in it."""
+def finished(
+    figure: Figure, named: Any = None, shown: Sequence[Shown] = (), *, look: Look | None = None
+) -> Figure:
+    """The figure in its colors and with its look. named: the axes that name the systems in it."""
     if len(shown) > 1:
         named.legend(fontsize=SMALL, frameon=False, loc="best", labelcolor=INK)
     elif shown and shown[0].name:
@@ -107,4 +114,4 @@ def finished(figure: Figure, named: Any = None, shown: Sequence[Shown] = ()) -> 
         ink(axis, which="both", labelsize=9)
         for spine in axis.spines.values():
             spine.set_linewidth(0.8)
-    return figure
+    return plots.dressed(figure, look or {})

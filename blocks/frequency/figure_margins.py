@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..results.plots import INK, STYLES
+from ..results.plots import INK, STYLES, WIDTH
 from ..text.arrays import Array
 from .figure_look import FAINT, SMALL, note
 from .margins import Margins
@@ -24,6 +24,7 @@ def margins_on_bode(above: Axes, below: Axes, m: Margins, curve: tuple[Array, Ar
     w, gain, phase = curve
     span = above.get_xlim()
     turns: set[float] = set()
+    taken: list[tuple[float, float, float]] = []
     # Of the crossings that a delay makes without end, those near the border.
     gains = sorted(m.gains, key=lambda crossing: abs(math.log(crossing[0])))[:_DRAWN]
     for factor, at in gains:
@@ -36,7 +37,7 @@ def margins_on_bode(above: Axes, below: Axes, m: Margins, curve: tuple[Array, Ar
         if factor in (m.gain, m.gain_low):
             _measure(above, at, 0.0, level)
             text = f"gain margin {factor:.4g} ({-level:.3g} dB)"
-            _beside(above, at, level / 2, text, (w, gain), border=0.0, left=level > 0)
+            _beside(above, at, level / 2, text, (w, gain), border=0.0, left=level > 0, taken=taken)
             below.plot([at], [there], "o", color=mark, markersize=4)
     for degrees, at in sorted(m.phases, key=lambda crossing: abs(crossing[0]))[:_DRAWN]:
         if not span[0] <= at <= w[-1]:
@@ -48,8 +49,9 @@ def margins_on_bode(above: Axes, below: Axes, m: Margins, curve: tuple[Array, Ar
         if degrees == m.phase_deg:
             _measure(below, at, border, there)
             _beside(
-                below, at, (border + there) / 2, f"phase margin {degrees:.3g}°", (w, phase), border=border, left=True
-            )
+                below, at, (border + there) / 2, f"phase margin {degrees:.3g}°", (w, phase), border=border, left=True,
+                taken=[],
+            )  # fmt: skip
             above.plot([at], [0], "o", color=mark, markersize=4)
     above.axhline(0, color=INK, linewidth=0.8, linestyle=(0, (1, 2)))
     for turn in {round(turn, 3) for turn in turns}:
@@ -74,13 +76,21 @@ def _warn(axis: Axes, m: Margins) -> None:
 
 
 def _beside(
-    axis: Axes, x: float, y: float, text: str, curve: tuple[Array, Array], *, border: float, left: bool
-) -> None:
-    """A text beside x, on the side and at the height where the curve does not run through it."""
+    axis: Axes, x: float, y: float, text: str, curve: tuple[Array, Array], *, border: float, left: bool,
+    taken: list[tuple[float, float, float]],
+) -> None:  # fmt: skip
+    """A text beside x, on the side and at the height where neither the curve nor another text is.
+
+    taken: where texts of the axes are: from, to, and the height of the middle; this text is added.
+    """
     low, high = axis.get_ylim()
     span = np.log(np.asarray(axis.get_xlim()))
-    # Of the panel: a letter is a ninetieth wide, the gap beside x a fiftieth, a line a twentieth high (at 8 points).
-    width, height = (0.0112 * len(text) + 0.02) * (span[1] - span[0]), 0.08 * (high - low)
+    across, down = (float(size) for size in axis.get_figure().get_size_inches())  # type: ignore[union-attr]
+    if across < 4.5:  # a column of a paper; the place says which margin it is
+        text = text.partition("margin ")[2]
+    # Of a panel of the usual size: a letter is a ninetieth wide, a line a twelfth high (at 8 points).
+    width = (0.0112 * len(text) + 0.02) * WIDTH / across * (span[1] - span[0])
+    height = 0.08 * 4.6 / down * (high - low)
     best: tuple[float, bool, float] | None = None
     for shift in np.arange(-3.0, 3.1, 0.5):
         for side in (left, not left):
@@ -89,10 +99,13 @@ def _beside(
             center = y + shift * height
             free = float(np.min(np.abs(curve[1][inside] - center), initial=abs(center - border))) / height
             fits = a > span[0] and a + width < span[1] and low + height / 2 < center < high - height / 2
+            fits &= not any(a < end and begin < a + width and abs(center - at) < height for begin, end, at in taken)
             score = min(free, 0.8) - 0.1 * abs(shift) - 0.05 * (side != left) - 10 * (not fits)
             if best is None or score > best[0]:
                 best = (score, side, center)
     assert best is not None
+    begin = math.log(x) - width * best[1]
+    taken.append((begin, begin + width, best[2]))
     offset, at = ((-7, 0), "right") if best[1] else ((7, 0), "left")
     note(axis, text, (x, best[2]), offset, va="center", ha=at, color=STYLES[1][0])
 

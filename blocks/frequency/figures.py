@@ -1,7 +1,8 @@
 """Figures over frequency: Bode, Nyquist, Nichols, singular values, the gang of four, poles and zeros, steps.
 
 Each function takes a system, several, or a mapping of names to systems, and returns a `matplotlib.figure.Figure` that
-`results.plots.save` and `svg_text` write. Models are lines; measured data (control.FrequencyResponseData) are points
+`results.plots.save` and `svg_text` write. It takes the words of `results.plots.Look`: size, title, xlabel, ylabel, xlim
+and ylim. Models are lines; measured data (control.FrequencyResponseData) are points
 upon them. Axes in rad/s, dB and degrees; phases are unwrapped from the slope at the low end, so that a double
 integrator begins at -180 and not at +180 degrees.
 """
@@ -10,11 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
-from ..results.plots import INK, STYLES, defaults
+from ..results.plots import INK, STYLES, Look, defaults
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .disk import DiskMargins
@@ -47,7 +48,9 @@ _MARKS = (("x", "o"), ("+", "s"), ("1", "D"), ("2", "^"), ("3", "v"), ("4", "p")
 
 
 @defaults()
-def bode(systems: object, omega: Iterable[float] | None = None, *, margins: bool | Margins = True) -> Figure:
+def bode(
+    systems: object, omega: Iterable[float] | None = None, *, margins: bool | Margins = True, **look: Unpack[Look]
+) -> Figure:
     """Gain and phase over frequency; the gain and phase margins of a single loop are drawn.
 
     omega: frequencies [rad/s]; without them they are laid out from poles and zeros. margins: off where the system is no
@@ -56,7 +59,7 @@ def bode(systems: object, omega: Iterable[float] | None = None, *, margins: bool
     """
     shown = single_channels(systems, "bode")
     span = span_of(shown, omega)
-    figure, (above, below) = new_figure(2, 1, height=4.6, share=True)
+    figure, (above, below) = new_figure(2, 1, height=4.6, share=True, look=look)
     curves = []
     for trace in shown:
         w, values = curve_of(trace, span)
@@ -79,18 +82,18 @@ def bode(systems: object, omega: Iterable[float] | None = None, *, margins: bool
     tick_degrees(below)
     if loop_margins is not None and drawn:
         margins_on_bode(above, below, loop_margins, curves[0])
-    return finished(figure, above, shown)
+    return finished(figure, above, shown, look=look)
 
 
 @defaults()
-def nyquist(loop: object, *, margins: bool | Margins = True) -> Figure:
+def nyquist(loop: object, *, margins: bool | Margins = True, **look: Unpack[Look]) -> Figure:
     """The loop transfer in the complex plane, with -1, the unit circle, the circle that Ms keeps free, and margins.
 
     Negative frequencies are drawn faintly. The view is that of the critical point: what an integrator sends to
     infinity leaves it. margins: as of `bode`. Raises UsageError (E501).
     """
     shown = single_channels(loop, "nyquist")
-    figure, axis = new_figure(1, 1, height=5.2, width=5.6)
+    figure, axis = new_figure(1, 1, height=5.2, width=5.6, look=look)
     circle = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
     axis.axhline(0, color=FAINT, linewidth=0.6)
     axis.axvline(0, color=FAINT, linewidth=0.6)
@@ -117,14 +120,14 @@ def nyquist(loop: object, *, margins: bool | Margins = True) -> Figure:
     axis.set_aspect("equal")
     axis.set_xlabel("real part")
     axis.set_ylabel("imaginary part")
-    return finished(figure, axis, shown)
+    return finished(figure, axis, shown, look=look)
 
 
 @defaults()
-def nichols(systems: object, *, margins: bool | Margins = True) -> object:
+def nichols(systems: object, *, margins: bool | Margins = True, **look: Unpack[Look]) -> object:
     """Gain over phase of loops, upon the curves of constant |T|. margins: as of `bode`. Raises UsageError (E501)."""
     shown = single_channels(systems, "nichols")
-    figure, axis = new_figure(1, 1, height=5.2, width=6.6)
+    figure, axis = new_figure(1, 1, height=5.2, width=6.6, look=look)
     curves = []
     for trace in shown:
         w, values = full_curve_of(trace)
@@ -147,18 +150,20 @@ def nichols(systems: object, *, margins: bool | Margins = True) -> object:
     axis.set_xlabel("phase [deg]")
     axis.set_ylabel("gain [dB]")
     tick_degrees(axis, which="x")
-    return finished(figure, axis, shown)
+    return finished(figure, axis, shown, look=look)
 
 
 @defaults()
-def sigma(systems: object, omega: Iterable[float] | None = None, *, margins: DiskMargins | None = None) -> Figure:
+def sigma(
+    systems: object, omega: Iterable[float] | None = None, *, margins: DiskMargins | None = None, **look: Unpack[Look]
+) -> Figure:
     """Singular values over frequency: the largest and the smallest as lines, with what lies between them shaded.
 
     margins: of a loop, whose S and T are the systems: their peaks are marked.
     """
     shown = shown_of(systems, "sigma")
     span = span_of(shown, omega)
-    figure, axis = new_figure(1, 1, height=3.4)
+    figure, axis = new_figure(1, 1, height=3.4, look=look)
     for trace in shown:
 
         def sizes(w: Array, known: Source = trace.known) -> Array:
@@ -197,11 +202,13 @@ def sigma(systems: object, omega: Iterable[float] | None = None, *, margins: Dis
             place = (6 if side == "left" else -6, 6 if above else -6)
             text = f"{value:.4g} at {at:.4g} rad/s"
             note(axis, text, (at, level), place, color=trace.color, ha=side, va="bottom" if above else "top")
-    return finished(figure, axis, shown)
+    return finished(figure, axis, shown, look=look)
 
 
 @defaults()
-def gang_of_four(plant: object, controller: object, omega: Iterable[float] | None = None) -> object:
+def gang_of_four(
+    plant: object, controller: object, omega: Iterable[float] | None = None, **look: Unpack[Look]
+) -> object:
     """|S|, |T|, |PS| and |CS| of a plant P and a controller C in a loop with negative feedback; with their peaks."""
     parts = single_channels({"P": plant, "C": controller}, "gang_of_four")
     if len({trace.known.dt for trace in parts}) != 1:
@@ -218,7 +225,7 @@ def gang_of_four(plant: object, controller: object, omega: Iterable[float] | Non
         ("PS = P/(1 + PC)", "load to output", lambda P, C: P / (1 + P * C)),
         ("CS = C/(1 + PC)", "noise to control", lambda P, C: C / (1 + P * C)),
     )
-    figure, axes = new_figure(2, 2, height=5.0, width=7.6, share=True)
+    figure, axes = new_figure(2, 2, height=5.0, width=7.6, share=True, look=look)
     start = np.geomspace(*span, 200)
     for axis, (title, meaning, law) in zip(np.ravel(axes), laws, strict=True):
 
@@ -252,17 +259,17 @@ def gang_of_four(plant: object, controller: object, omega: Iterable[float] | Non
         axis.set_xlabel("frequency [rad/s]")
     for axis in axes[:, 0]:
         axis.set_ylabel("gain [dB]")
-    return finished(figure)
+    return finished(figure, look=look)
 
 
 @defaults()
-def pole_map(systems: object) -> object:
+def pole_map(systems: object, **look: Unpack[Look]) -> object:
     """Poles (crosses) and zeros (circles); with lines of equal damping and, for sampled systems, the unit circle."""
     shown = shown_of(systems, "pole_map")
     is_sampled = shown[0].known.dt > 0
     if any((trace.known.dt > 0) != is_sampled for trace in shown):
         raise UsageError(Fault("E501", "pole_map", "continuous and sampled systems cannot share a plane (s or z)."))
-    figure, axis = new_figure(1, 1, height=5.0, width=5.8)
+    figure, axis = new_figure(1, 1, height=5.0, width=5.8, look=look)
     roots = [(trace, poles(trace.system), _known_zeros(trace)) for trace in shown]
     everything = np.concatenate([part for _, p, z in roots for part in (p, z)])
     (draw_unit_circle if is_sampled else draw_half_plane)(axis, everything)
@@ -278,17 +285,17 @@ def pole_map(systems: object) -> object:
     axis.set_xlabel(f"real part{unit}")
     axis.set_ylabel(f"imaginary part{unit}")
     figure.legend(loc="outside upper center", ncols=4, fontsize=SMALL, frameon=False, labelcolor=INK)
-    return finished(figure)
+    return finished(figure, look=look)
 
 
 @defaults()
-def step_figure(systems: object, *, until: float | None = None) -> object:
+def step_figure(systems: object, *, until: float | None = None, **look: Unpack[Look]) -> object:
     """Responses to a unit step, exactly; with overshoot and the time to stay within 2 % of a single one.
 
     until: the last time [s]; without it, what the slowest pole needs to settle. Raises UsageError (E501).
     """
     shown = single_channels(systems, "step_figure")
-    figure, axis = new_figure(1, 1, height=3.4)
+    figure, axis = new_figure(1, 1, height=3.4, look=look)
     last = until if until is not None else max(settling_time(trace) for trace in shown)
     if not (math.isfinite(last) and last > 0):
         raise UsageError(Fault("E501", "step_figure", "until= must be a positive time in s."))
@@ -302,7 +309,7 @@ def step_figure(systems: object, *, until: float | None = None) -> object:
     axis.set_xlim(0, last)
     axis.set_xlabel("time [s]")
     axis.set_ylabel("response to a unit step")
-    return finished(figure, axis, shown)
+    return finished(figure, axis, shown, look=look)
 
 
 def _margins(shown: list[Shown], wanted: bool | Margins) -> Margins | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
+import matplotlib
 from matplotlib.figure import Figure as Drawn
 
 
@@ -24,12 +25,16 @@ class Figure(Drawn):
     along: str = ""
 
     def savefig(self, fname: Any, **given: Any) -> None:
-        """As of matplotlib, on white where nothing else is asked for: a page may be dark."""
+        """As of matplotlib, on white where nothing else is asked for: a page may be dark.
+
+        PDF and PostScript hold TrueType fonts: publishers refuse the fonts of type 3 that matplotlib writes by itself.
+        """
         alpha = self.patch.get_alpha()
         try:
             if given.get("transparent") is None and "facecolor" not in given:
                 self.patch.set_alpha(1.0)
-            super().savefig(fname, **given)
+            with matplotlib.rc_context({"pdf.fonttype": 42, "ps.fonttype": 42}):
+                super().savefig(fname, **given)
         finally:
             self.patch.set_alpha(alpha)
 

@@ -50,6 +50,8 @@ PAPER = "#fefdfc"  # stands for the page's background
 WIDTH = 6.2  # inches: where a phone shows them whole, texts can be read
 _HEIGHT = 2.1  # of one panel
 _COLUMNS = 1500
+_FULL = 5.0  # inches: narrower figures have smaller texts
+_LEAST_SIZE = 6.0  # points
 _LETTERS = 84
 """Of the labels in a line of a legend."""
 
@@ -175,7 +177,7 @@ def panels(
     windows: stretches of the x axis, shown beside each other. Raises UsageError (E501) for a look that does not fit.
     """
     look = look or {}
-    _check_look(look, len(parts))
+    check_look(look, len(parts))
     xlabel, title = look.get("xlabel", xlabel), look.get("title", title)
     if "ylabel" in look:
         labels = zip(parts, _for_each(look["ylabel"], str, len(parts)), strict=True)
@@ -183,7 +185,7 @@ def panels(
     if "xlim" in look:
         windows = [look["xlim"]]
     heights = [part.height for part in parts]
-    legends = [_legend_of(part) for part in parts]
+    legends = [_legend_of(part, look.get("size", (WIDTH, 0.0))[0]) for part in parts]
     lines = sum(-(-len(part.lines) // columns) for part, columns in zip(parts, legends, strict=True) if columns)
     figure = new_figure(*look.get("size", (WIDTH, _HEIGHT * sum(heights) + 0.6 + 0.16 * lines)))
     figure.parts, figure.along = tuple(parts), xlabel
@@ -205,7 +207,51 @@ def panels(
         figure.suptitle(plain(title), fontsize=10, x=0.01, ha="left", color=INK)
     for axis in np.ravel(axes):
         ink(axis)
+    if "size" in look:
+        _fit(figure)
     return figure
+
+
+def dressed(figure: Figure, look: Look) -> Figure:
+    """Return a figure of other axes than panels with the look, but for its size, with which it was made.
+
+    Raises UsageError (E501) for a look that does not fit.
+    """
+    axes = [axis for axis in figure.axes if axis.get_visible() and axis.get_label() != "<colorbar>"]
+    check_look(look, len(axes))
+    if "title" in look:
+        figure.suptitle(plain(look["title"]), fontsize=10, x=0.01, ha="left", color=INK)
+    labels = _for_each(look.get("ylabel"), str, len(axes))
+    limits = _for_each(look.get("ylim"), tuple, len(axes))
+    for axis, label, ends in zip(axes, labels, limits, strict=True):
+        if label is not None:
+            axis.set_ylabel(plain(label))
+        if ends is not None:
+            axis.set_ylim(ends)
+        if "xlim" in look:
+            axis.set_xlim(look["xlim"])
+        if "xlabel" in look and axis.get_xlabel():
+            axis.set_xlabel(plain(look["xlabel"]))
+    if "size" in look:
+        _fit(figure)
+    return figure
+
+
+def _fit(figure: Figure) -> None:
+    """Let the texts fit the size of a figure: smaller in a column of a paper, labels of y in two lines if need be."""
+    from matplotlib.text import Text
+
+    factor = min(1.0, max(0.75, float(figure.get_size_inches()[0]) / _FULL))
+    for text in figure.findobj(Text):
+        text.set_fontsize(max(_LEAST_SIZE, factor * text.get_fontsize()))  # type: ignore[attr-defined]
+    for axis in figure.axes:
+        axis.tick_params(which="both", labelsize=max(_LEAST_SIZE, 9.5 * factor))
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        label, room = axis.yaxis.label, axis.get_window_extent().height
+        if label.get_window_extent().height > room:
+            label.set_text(label.get_text().replace(" [", "\n["))
+            label.set_fontsize(label.get_fontsize() * min(1.0, room / label.get_window_extent().height))
 
 
 def _for_each(given: Any, kind: type, count: int) -> list[Any]:
@@ -221,7 +267,7 @@ def _is_pair(given: object) -> bool:
     return all(isinstance(x, (int, float, np.number)) and math.isfinite(x) for x in given)
 
 
-def _check_look(look: Look, count: int) -> None:
+def check_look(look: Look, count: int) -> None:
     """Refuse a look that does not fit a figure with this number of panels (E501)."""
 
     def refuse(key: str, needed: str) -> None:
@@ -258,11 +304,12 @@ def _within(part: Panel, window: tuple[float, float]) -> Panel:
     return replace(part, lines=tuple(lines), markers=markers)
 
 
-def _legend_of(part: Panel) -> int:
+def _legend_of(part: Panel, width: float) -> int:
     """How many labels stand beside each other in the legend of a panel; 0 where it has none."""
     if len(part.lines) == 1 and part.lines[0].label in part.ylabel:
         return 0
-    return min(len(part.lines), max(1, _LETTERS // (6 + max(len(line.label) for line in part.lines))))
+    letters = int(_LETTERS * width / WIDTH)
+    return min(len(part.lines), max(1, letters // (6 + max(len(line.label) for line in part.lines))))
 
 
 def _legend(part: Panel, axis: Axes, columns: int) -> None:

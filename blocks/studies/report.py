@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 import math
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -28,6 +27,7 @@ from ..text.json_document import place_of
 from ..text.printable import aligned, as_markdown, counted
 from ..text.version import __version__
 from .report_page import escaped, folder_for, framed, own_ids, plotted, svg_of, table, warned, written
+from .sampling import values_text
 from .study import StudyResults, Verdict
 from .study_reader import Claim
 from .study_sweeps import StudySweep, figure_of, plain
@@ -451,7 +451,7 @@ def _runs(
 
 def _rows_of(entry: StudySweep, sweep: Sweep) -> list[str]:
     """What varied in a sweep, and the table of its measures."""
-    varied = "; ".join(f"{name}: {json.dumps(plain(raw), ensure_ascii=False)}" for name, raw in entry.vary.items())
+    varied = "; ".join(f"{name}: {values_text(plain(raw))}" for name, raw in entry.vary.items())
     words = [f"{key} {entry.options[key]}" for key in ("sampler", "seed") if key in entry.options]
     said = f"Varied: {varied}. {told_rows(sweep)}{''.join(f', {word}' for word in words)}."
     rows = [[*map(cell_text, row)] for row in sweep_table(sweep, (), QUANTILES)]

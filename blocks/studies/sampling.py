@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
@@ -421,6 +422,24 @@ _NAMED: Mapping[str, tuple[Callable[..., Distribution], str]] = {
     "normal": (Normal, "MEAN,DEVIATION"), "uniform": (Uniform, "LOW,HIGH"), "loguniform": (LogUniform, "LOW,HIGH"),
     "triangular": (Triangular, "LOW,MODE,HIGH"), "truncatednormal": (TruncatedNormal, "MEAN,DEVIATION,LOW,HIGH"),
 }  # fmt: skip
+
+
+def values_text(raw: Any) -> str:
+    """Return the values of a file as a text: {"normal": [0.16, 0.02]} is normal, mean 0.16, deviation 0.02."""
+    if not isinstance(raw, Mapping):
+        return ", ".join(map(_number_text, raw)) if isinstance(raw, list) else _number_text(raw)
+    (kind, given), *_ = raw.items()
+    if isinstance(given, Mapping):
+        return ", ".join([kind, *(f"{name} {_number_text(value)}" for name, value in given.items())])
+    words = "FROM,TO,COUNT" if kind in ("linspace", "geomspace") else _NAMED[kind.lower()][1]
+    pairs = zip(words.lower().split(","), given, strict=False)
+    return ", ".join([kind, *(f"{word} {_number_text(value)}" for word, value in pairs)])
+
+
+def _number_text(value: Any) -> str:
+    if isinstance(value, Mapping) and "value" in value:
+        return f"{_number_text(value['value'])} {value.get('unit', '')}".strip()
+    return f"{value:.10g}" if isinstance(value, (int, float)) else json.dumps(value, ensure_ascii=False)
 
 
 def _refused(place: str, message: str, cure: str = "") -> UsageError:

@@ -11,7 +11,7 @@ import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from .sweep_file import read, write
 from .sweep_tables import cell_text
 
 if TYPE_CHECKING:
+    from ..results.plots import Look
     from ..results.results import Results
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -246,6 +247,7 @@ class Sweep(Shown):
         kind: str | None = None,
         singles: int = 3,
         bins: int | None = None,
+        **look: Unpack[Look],
     ) -> Any:
         """A `matplotlib.figure.Figure`: what of the sweep is drawn, and against what.
 
@@ -256,12 +258,12 @@ class Sweep(Shown):
 
         what: None: all signals, or all measures where there are none. Rows that failed are counted, and shown where
         they can be. singles: how many runs are drawn by themselves in bands. bins: of a histogram, or of each axis of a
-        heat map over ranges. Scenarios stand beside each other; `sweep[name].plot()` shows one. Raises UsageError
-        (E501).
+        heat map over ranges. Scenarios stand beside each other; `sweep[name].plot()` shows one. look: size,
+        title, xlabel, ylabel, xlim and ylim as of `results.plot`. Raises UsageError (E501).
         """
         from .sweep_figures import plot
 
-        return plot(self, what, against, kind=kind, singles=singles, bins=bins)
+        return plot(self, what, against, kind=kind, singles=singles, bins=bins, look=look)
 
     def markdown(self, *, by: str | Sequence[str] = (), q: Sequence[float] = QUANTILES) -> str:
         """Measures by scenario as a Markdown table: mean, quantiles, and how many rows have no number.

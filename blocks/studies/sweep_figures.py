@@ -19,7 +19,7 @@ import numpy as np
 
 from ..frequency.figure_look import SMALL, finished, new_figure
 from ..model.study_grammar import SWEEP_FIGURES
-from ..results.plots import INK, STYLES, WIDTH, defaults, plain
+from ..results.plots import INK, STYLES, WIDTH, Look, defaults, plain
 from ..text.arrays import Array
 from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError, did_you_mean
@@ -73,11 +73,14 @@ def plot(
     kind: str | None = None,
     singles: int = 3,
     bins: int | None = None,
+    look: Look | None = None,
 ) -> Any:
     """What `Sweep.plot` does. kind: of SWEEP_FIGURES, where it does not follow from the names."""
     if bins is not None and (isinstance(bins, bool) or not isinstance(bins, int | np.integer) or not 0 < bins <= 1000):
         raise UsageError(Fault("E501", "bins", f"must be an integer from 1 to 1000, not {legible(repr(bins))}."))
     wanted = _names(sweep.signals or sweep.measures if what is None else what)
+    if what is None and against is None and kind is None and not sweep.signals:
+        against = _stepped(sweep)
     others = _names(() if against is None else against)
     chosen = _kind(sweep, wanted, others, kind)
     if not wanted:
@@ -91,12 +94,12 @@ def plot(
         )
     rows = _scenarios(sweep)
     if chosen == "bands":
-        return _bands(sweep, wanted, rows, singles)
+        return _bands(sweep, wanted, rows, singles, look)
     if chosen in ("histogram", "ecdf"):
-        return _distributions(sweep, wanted, rows, chosen, bins)
+        return _distributions(sweep, wanted, rows, chosen, bins, look)
     if chosen == "scatter":
-        return _scatter(sweep, wanted, others, rows)
-    return _heat_maps(sweep, wanted, (others[0], others[1]), rows, bins)
+        return _scatter(sweep, wanted, others, rows, look)
+    return _heat_maps(sweep, wanted, (others[0], others[1]), rows, bins, look)
 
 
 def column(sweep: Sweep, name: str) -> Array:
@@ -117,6 +120,16 @@ def told_rows(sweep: Sweep) -> str:
     counts = {_WORDS.get(name, name): count for name, count in sweep.counts().items() if name != "ok"}
     bad = ", ".join(f"{count:,} {name}" for name, count in counts.items())
     return f"{counted(len(sweep), 'run')}" + (f", of which {bad}" if bad else "")
+
+
+def _stepped(sweep: Sweep) -> list[str]:
+    """Return the only varied parameter if its values go up or down row by row, as those of a range and no draws do."""
+    if len(sweep.varied) != 1:
+        return []
+    (name, values), *_ = sweep.varied.items()
+    steps = np.diff(values[sweep.scenario == 0]) if values.dtype.kind == "f" and values.ndim == 1 else np.zeros(1)
+    is_even = len(steps) > 1 and bool(np.allclose(steps, steps[0], rtol=1e-9, atol=0.0))
+    return [name] if (len(steps) > 6 or is_even) and (np.all(steps > 0) or np.all(steps < 0)) else []
 
 
 def _names(given: str | Sequence[str] | Any) -> list[str]:
@@ -175,6 +188,7 @@ def _titled(figure: Any, sweep: Sweep) -> None:
 def _legend(figure: Any, axis: Any, columns: int = 6, groups: Sequence[str] = ()) -> None:
     """The legend of one pair of axes, below all of them, where it hides nothing. groups: beginnings of its labels."""
     handles, labels = axis.get_legend_handles_labels()
+    columns = max(1, int(columns * min(1.0, figure.get_size_inches()[0] / WIDTH)))
     if handles:
 
         def place(pair: tuple[object, str]) -> float:
@@ -189,15 +203,15 @@ def _legend(figure: Any, axis: Any, columns: int = 6, groups: Sequence[str] = ()
 # --- over time -------------------------------------------------------------------------------------------------------
 
 
-def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: int) -> object:
+def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: int, look: Look | None) -> object:
     signals = [pair for name in names for pair in _elements(sweep, name)]
     several = len(rows) > 1
-    figure, axes = new_figure(len(signals), 1, height=0.95 + _HEIGHT * len(signals), width=WIDTH, share=True)
+    figure, axes = new_figure(len(signals), 1, height=0.95 + _HEIGHT * len(signals), width=WIDTH, share=True, look=look)
     for axis, (name, values) in zip(np.ravel(axes), signals, strict=True):
         for part in rows:
             of = f"{part.name}: " if several else ""
-            for look, label in (({"alpha": 0.18}, "5 to 95 %"), ({"alpha": 0.32}, "25 to 75 %")):
-                axis.fill_between([], [], [], color=part.color, linewidth=0, label=plain(of + label), **look)
+            for shade, label in (({"alpha": 0.18}, "5 to 95 %"), ({"alpha": 0.32}, "25 to 75 %")):
+                axis.fill_between([], [], [], color=part.color, linewidth=0, label=plain(of + label), **shade)
         for part in rows:
             _band(axis, sweep.t, values[part.index], part, 0 if several else singles)
         _keep_scale(axis, [values[part.index[part.is_ok]] for part in rows])
@@ -208,7 +222,7 @@ def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: i
     axes[-1].set_xlabel("time [s]")
     _titled(figure, sweep)
     _legend(figure, axes[0], len(rows) if several else 6, [plain(f"{part.name}: ") for part in rows if several])
-    return finished(figure)
+    return finished(figure, look=look)
 
 
 def _elements(sweep: Sweep, name: str) -> list[tuple[str, Array]]:
@@ -273,10 +287,13 @@ def _lines_of_failed(axis: Any, t: Array, values: Array, rows: Sequence[_Rows]) 
 # --- distributions ---------------------------------------------------------------------------------------------------
 
 
-def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], kind: str, bins: int | None) -> object:
+def _distributions(
+    sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], kind: str, bins: int | None, look: Look | None
+) -> object:
     across = min(len(names), 2)
     down = -(-len(names) // across)
-    figure, axes = new_figure(down, across, height=0.7 + _HEIGHT * down * (1.25 if across == 1 else 1.0), width=WIDTH)
+    height = 0.7 + _HEIGHT * down * (1.25 if across == 1 else 1.0)
+    figure, axes = new_figure(down, across, height=height, look=look)
     axes = np.ravel(axes)
     for axis in axes[len(names) :]:
         axis.set_visible(False)
@@ -301,11 +318,14 @@ def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], ki
         _tell_none(axis, values)
         if labels is not None:
             axis.set_xticks(range(len(labels)), labels)
+        else:  # 0.000500, 0.000505, ... would run into each other
+            axis.locator_params(axis="x", nbins=5 if across > 1 else 8)
+            axis.ticklabel_format(axis="x", scilimits=(-3, 5))
         if kind == "ecdf":
             axis.set_ylim(0.0, 1.0)
     _titled(figure, sweep)
     _legend(figure, axes[0], 3)
-    return finished(figure)
+    return finished(figure, look=look)
 
 
 def _tell_none(axis: Any, values: Array) -> None:
@@ -366,9 +386,12 @@ def _numbers(values: Array) -> tuple[Array, list[str] | None]:
     return places.astype(float), [plain(str(name)) for name in names]
 
 
-def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: Sequence[_Rows]) -> object:
+def _scatter(
+    sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: Sequence[_Rows], look: Look | None
+) -> object:
     down, across = len(names), len(against)
-    figure, axes = new_figure(down, across, height=0.75 + (_HEIGHT + 0.3) * down, width=max(WIDTH, 2.05 * across))
+    width = max(WIDTH, 2.05 * across)
+    figure, axes = new_figure(down, across, height=0.75 + (_HEIGHT + 0.3) * down, width=width, look=look)
     axes = np.reshape(axes, (down, across))
     for i, name in enumerate(names):
         y, y_labels = _numbers(column(sweep, name))
@@ -397,7 +420,7 @@ def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: S
                 axis.set_ylabel(_label(sweep, name))
     _titled(figure, sweep)
     _legend(figure, axes[0, 0], 4)
-    return finished(figure)
+    return finished(figure, look=look)
 
 
 def _points(axis: Any, x: Array, y: Array, part: _Rows) -> None:
@@ -467,13 +490,14 @@ def _ticks_on_grid(axis: Any, values: Array, edges: Array, *, is_log: bool, leas
 
 
 def _heat_maps(
-    sweep: Sweep, names: Sequence[str], against: tuple[str, str], rows: Sequence[_Rows], bins: int | None
-) -> object:
+    sweep: Sweep, names: Sequence[str], against: tuple[str, str], rows: Sequence[_Rows], bins: int | None,
+    look: Look | None,
+) -> object:  # fmt: skip
     from matplotlib.colors import LogNorm, Normalize
 
     down, across = len(names), len(rows)
     height = 0.6 + (3.6 if down * across == 1 else 2.9) * down
-    figure, axes = new_figure(down, across, height=height, width=max(WIDTH, 3.1 * across))
+    figure, axes = new_figure(down, across, height=height, width=max(WIDTH, 3.1 * across), look=look)
     axes = np.reshape(axes, (down, across))
     for i, name in enumerate(names):
         values, _ = _numbers(column(sweep, name))
@@ -498,7 +522,7 @@ def _heat_maps(
         bar.outline.set_edgecolor(INK)
     _titled(figure, sweep)
     _legend(figure, axes[0, 0], 4)
-    return finished(figure)
+    return finished(figure, look=look)
 
 
 def _color_limits(values: Array) -> tuple[tuple[float, float], str]:

@@ -81,3 +81,12 @@ def test_the_ending_says_that_a_drawing_is_a_page(tmp_path: Path, capsys: pytest
     assert page.stat().st_size == plain.stat().st_size
     assert main(["draw", motor, "-o", str(tmp_path / "a.pdf")]) == 2
     assert "Name it FILE.svg, or FILE.html for a page." in capsys.readouterr().err
+
+
+def test_the_size_of_a_figure_is_given_in_inches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, out = tmp_path / "a.csv", tmp_path / "a.svg"
+    made("rad/s").save(file)
+    assert main(["plot", str(file), "-o", str(out), "--size", "3.5x2.2"]) == 0
+    assert 'width="252pt" height="158.4pt"' in out.read_text(encoding="utf-8")  # 72 points an inch
+    assert main(["plot", str(file), "-o", str(out), "--size", "9 cm"]) == 2
+    assert "E501 --size 9 cm: is not a width and a height from 0.5 to 100 inches" in capsys.readouterr().err

@@ -266,3 +266,50 @@ def test_a_response_that_was_measured_is_drawn_over_a_model_on_white(tmp_path: P
     corner = matplotlib.image.imread(tmp_path / "a.png")[0, 0]
     assert corner.tolist() == [1.0, 1.0, 1.0, 1.0]
     assert figure.patch.get_alpha() == 0.0
+
+
+FIGURES: dict[str, Any] = {
+    "bode": lambda **look: bode(two_gain_margins(), **look),
+    "nyquist": lambda **look: nyquist(loop(), **look),
+    "nichols": lambda **look: nichols(loop(), **look),
+    "sigma": lambda **look: sigma(loop(), **look),
+    "gang_of_four": lambda **look: gang_of_four(plant(), controller(), **look),
+    "pole_map": lambda **look: pole_map(loop(), **look),
+    "step_figure": lambda **look: step_figure(control.feedback(loop()), **look),
+}
+
+
+def two_gain_margins() -> Any:
+    """A double integrator, unstable, with a gain margin to either side."""
+    lags = control.tf([1], [1, -1]) * control.tf([1], [0.02, 1]) * control.tf([1], [0.01, 1])
+    return control.tf([60, 150, 100], [1, 0, 0]) * lags
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_each_figure_takes_the_words_of_the_look(name: str) -> None:
+    figure = FIGURES[name](size=(3.5, 3.0), title="over all", xlim=(0.5, 2.0))
+    assert figure.get_size_inches().tolist() == [3.5, 3.0]
+    assert figure._suptitle.get_text() == "over all"
+    assert figure.axes[0].get_xlim() == (0.5, 2.0)
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        label = axis.yaxis.label.get_window_extent()
+        assert label.y0 >= -0.5
+        assert label.y1 <= figure.bbox.y1
+    for wrong in ({"size": (0.0, 3.0)}, {"colour": "red"}, {"ylim": [(0, 1)] * 9}):
+        with pytest.raises(UsageError, match="E501 plot"):
+            FIGURES[name](**wrong)
+
+
+@pytest.mark.parametrize("size", [(3.5, 3.0), (3.5, 4.0), (6.2, 4.6)])
+def test_labels_of_margins_lie_in_the_axes_and_not_over_each_other(size: tuple[float, float]) -> None:
+    figure = bode(two_gain_margins(), size=size)
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        boxes = [text.get_window_extent() for text in axis.texts]
+        whole = axis.get_window_extent()
+        for k, box in enumerate(boxes):
+            assert whole.x0 <= box.x0
+            assert box.x1 <= whole.x1
+            assert not any(box.overlaps(other) for other in boxes[:k])
+    assert sum(len(axis.texts) for axis in figure.axes) == 3

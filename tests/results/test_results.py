@@ -26,6 +26,7 @@ from blocks import (
 )
 from blocks.engines.run.recording import CHUNK, Recording
 from blocks.model.fingerprint import fingerprint
+from blocks.results import plots
 from blocks.results.results import Event, Events, Signal, Statistics
 from tests.contract.test_types import Cycle
 
@@ -416,3 +417,25 @@ def test_held_signals_are_drawn_in_steps_and_enumerations_by_name() -> None:
         at = np.linspace(0.01, 4.19, 997)
         np.testing.assert_array_equal(np.interp(at, t, y), made[name][np.searchsorted(made.t, at, side="right") - 1])
     np.testing.assert_array_equal(smooth.lines[0].get_xdata(), made.t)
+
+
+def test_texts_fit_a_figure_in_a_column_of_a_paper() -> None:
+    made = results()
+    for size in ((3.5, 3.0), (3.5, 2.0), (2.0, 1.2)):
+        figure = made.plot("x.y", size=size, title="a title", ylabel="a long name of a signal [unit]")
+        figure.draw_without_rendering()
+        label, whole = figure.axes[0].yaxis.label.get_window_extent(), figure.bbox
+        title = figure._suptitle.get_window_extent()
+        assert 0 <= label.y0 < label.y1 <= whole.y1
+        assert label.x0 >= 0
+        assert not label.overlaps(title)
+
+
+def test_pdf_of_a_figure_has_no_fonts_of_type_3(tmp_path: Path) -> None:
+    figure = results().plot("x.y")
+    figure.savefig(tmp_path / "a.pdf")
+    plots.save(figure, tmp_path / "b.pdf")
+    for name in ("a.pdf", "b.pdf"):
+        text = (tmp_path / name).read_bytes()
+        assert b"/Type3" not in text
+        assert b"/CIDFontType2" in text

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from blocks import Constant, Diagram, FirstOrder
 from blocks.results import plots
+from blocks.studies.sampling import Uniform, values_text
 from blocks.studies.statistics import correlation
 from blocks.studies.sweep import Sweep
 from blocks.studies.sweep_figures import column, plot
@@ -271,3 +273,24 @@ def test_endless_values_are_told_as_such_and_not_as_missing_ones() -> None:
     assert "no row has a limit" in texts(sweep.plot("all", against="a"))
     empty = replace(sweep, measures={"all": np.full(n, np.nan)})
     assert "no row has a number" in texts(empty.plot("all"))
+
+
+def test_the_values_of_a_range_are_the_axis_of_a_measure_and_draws_are_none() -> None:
+    diagram = Diagram("lag")
+    diagram.wire(diagram.add("lag", FirstOrder(T=1.0)).u, diagram.add("one", Constant(value=1.0)).y)
+    diagram.measure("top", "peak", of="lag.y")
+    ranged = diagram.sweep({"lag.T": np.linspace(0.5, 2.0, 5)}, stop=1)
+    axis = ranged.plot().axes[0]
+    assert (axis.get_xlabel().split(" ")[0], axis.get_ylabel().split(" ")[0]) == ("lag.T", "top")
+    x, y = axis.lines[0].get_xdata(), axis.lines[0].get_ydata()
+    np.testing.assert_allclose(y, 1 - np.exp(-1 / x), rtol=1e-5)
+    drawn = diagram.sweep({"lag.T": Uniform(0.5, 2.0)}, n=12, stop=1).plot(size=(3.5, 2.2), title="")
+    assert drawn.axes[0].get_xlabel().startswith("top")
+    assert drawn.get_size_inches().tolist() == [3.5, 2.2]
+
+
+def test_values_of_a_study_are_told_in_words() -> None:
+    assert values_text({"normal": [0.16, 0.02]}) == "normal, mean 0.16, deviation 0.02"
+    assert values_text({"linspace": [4, 20, 9]}) == "linspace, from 4, to 20, count 9"
+    assert values_text({"lognorm": {"s": 0.3, "scale": 2}}) == "lognorm, s 0.3, scale 2"
+    assert values_text([1, 2.5, "a"]) == '1, 2.5, "a"'
