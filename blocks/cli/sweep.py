@@ -74,7 +74,7 @@ def add(verbs: Verbs) -> None:
     is_renamed(verb, "--budget", "--max-steps")
     takes_work(verb, "rows", "; .csv: parameters and measures alone, written at the end")
     address = "run the rows on the workers of this dask scheduler; --out may be a folder or a URL that they write to"
-    plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
+    plot = "draw bands of --log over time, or the measures: .svg, .png, .pdf"
     verb.add_argument("--plot", metavar="FILE", help=plot)
     takes_size(verb)
     verb.add_argument("--dask", metavar="ADDRESS", help=address)

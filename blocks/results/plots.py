@@ -243,7 +243,7 @@ def _fit(figure: Figure) -> None:
 
     factor = min(1.0, max(0.75, float(figure.get_size_inches()[0]) / _FULL))
     for text in figure.findobj(Text):
-        text.set_fontsize(max(_LEAST_SIZE, factor * text.get_fontsize()))  # type: ignore[attr-defined]
+        text.set_fontsize(max(_LEAST_SIZE, factor * float(text.get_fontsize())))
     for axis in figure.axes:
         axis.tick_params(which="both", labelsize=max(_LEAST_SIZE, 9.5 * factor))
     figure.draw_without_rendering()
@@ -251,7 +251,7 @@ def _fit(figure: Figure) -> None:
         label, room = axis.yaxis.label, axis.get_window_extent().height
         if label.get_window_extent().height > room:
             label.set_text(label.get_text().replace(" [", "\n["))
-            label.set_fontsize(label.get_fontsize() * min(1.0, room / label.get_window_extent().height))
+            label.set_fontsize(float(label.get_fontsize()) * min(1.0, room / label.get_window_extent().height))
 
 
 def _for_each(given: Any, kind: type, count: int) -> list[Any]:

@@ -82,7 +82,7 @@ def test_a_sweep_of_a_study_is_that_of_python_and_its_claims_are_judged(
     assert (done["held"], done["reproduced"], done["claims"]) == (2, 1, 4)
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     told = "1 of 1 published numbers reproduced within their tolerance; 2 of 3 limits kept"
-    for said in ("90 % ≤ 0.1", "32 runs", told, "It is pushed less.", "mass: {&quot;normal&quot;: [1.0, 0.1]}"):
+    for said in ("90 % ≤ 0.1", "32 runs", told, "It is pushed less.", "mass: normal, mean 1, deviation 0.1"):
         assert said in report
     assert (tmp_path / "out" / "dips.png").is_file()
 
