@@ -13,6 +13,7 @@ and where the point is opened, the perturbation alone: the signal keeps its valu
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -114,9 +115,15 @@ class Linearization(ReplacedSlopes):
 
         A signal that is an input and an output is measured behind the perturbation: that is the sensitivity S. With
         sampled blocks that contribute it is a discrete-time model, inputs held from tick to tick. pade: the order of
-        the Padé models of delays. Raises UsageError (E501), AnalysisError (E701, E703, E707).
+        the Padé models of delays. Warns (W702) if an output is 0 because laws on the way pass nothing on. Raises
+        UsageError (E501), AnalysisError (E701, E703, E707).
         """
-        return _state_space(self.transfer(inputs, outputs, openings=openings, pade=pade))
+        transfer = self.transfer(inputs, outputs, openings=openings, pade=pade)
+        if transfer.hint:  # of a loop, `margins` says so (E705)
+            ways = " -> ".join(", ".join(names) for names in transfer.signals)
+            fault = Fault("W702", ways, "a small change does not get through.", transfer.hint)
+            warnings.warn(str(fault), RuntimeWarning, stacklevel=2)
+        return _state_space(transfer)
 
     def transfer(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> Transfer:
         """As `model`, for which python-control is not loaded."""
@@ -238,7 +245,7 @@ class Linearization(ReplacedSlopes):
             cure = "Open the loop at one signal, or at signals that are held at one rate."
             raise AnalysisError(Fault("E705", spot.name, message, cure))
         order = np.argsort(signals, kind="stable")
-        B, C, D = m["xe"][:, order], sign * m["yx"][order], sign * m["ye"][np.ix_(order, order)]
+        B, C, D = m["xe"][:, order], sign * m["yx"][order], sign * m["ye"][np.ix_(order, order)] + 0.0  # no -0
         is_lifted = len(values) > len(spots)
         names = [f"{spots[0].name}@{k}" for k in range(len(values))] if is_lifted else [spot.name for spot in spots]
         units = [spots[k].unit for k in sorted(signals)]
@@ -312,7 +319,7 @@ class Linearization(ReplacedSlopes):
         """T = 1 - S: from a perturbation added at a signal to what comes back there, with its sign turned."""
         names = [spot.name for spot in self._loop_ends(points)]
         S = self.transfer(names, names, openings=openings, pade=pade)
-        return _state_space(replace(S, C=-S.C, D=np.eye(len(S.D)) - S.D, name="", hint=""))
+        return _state_space(replace(S, C=0.0 - S.C, D=np.eye(len(S.D)) - S.D, name="", hint=""))
 
     def sparse(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> tuple[object, object, object, object]:
         """A, B, C, D of a continuous model as sparse matrices (CSR), of large diagrams.

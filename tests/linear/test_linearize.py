@@ -93,6 +93,8 @@ from tests.support.library_variants import VARIANTS, resolved
 from tests.support.on_numbers import numeric
 from tests.support.zoo import zoo
 
+pytestmark = pytest.mark.filterwarnings("ignore:W702")  # many laws are looked at where they are flat
+
 Array = np.ndarray[Any, Any]
 
 ROUNDING = 1e-12
