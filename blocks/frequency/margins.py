@@ -257,7 +257,7 @@ def _all_of(m: Margins) -> list[tuple[str, str]]:
         rows.append(("at -180 deg", _joined(nearest, gain_text)))
     if len(m.phases) > 1:
         nearest = sorted(m.phases, key=lambda crossing: abs(crossing[0]))
-        rows.append(("at 0 dB", _joined(nearest, lambda degrees: f"{degrees:.5g} deg")))
+        rows.append(("at 0 dB", _joined(nearest, lambda degrees: f"{degrees + 0.0:.5g} deg")))
     return rows
 
 
