@@ -201,8 +201,8 @@ def _band(signal: object, low: float, high: float) -> None:
 @takes(RunWords)
 def estimate_response(
     diagram: Diagram,
-    u: PortName | str,
-    y: PortName | str | Iterable[PortName | str],
+    u: str,
+    y: str | Iterable[str],
     signal: Excitation,
     case: Case | None = None,
     *,
@@ -230,7 +230,7 @@ def estimate_response(
 
     Raises UsageError (E501), AnalysisError (E708) where a run fails or nothing comes out, and what runs raise before.
     """
-    names = [_text(diagram, name) for name in ([y] if isinstance(y, (str, PortName)) else y)]
+    names = [_text(diagram, name) for name in ([y] if isinstance(y, str) else y)]
     case = case_of(case_of(case, {}).without(*RESERVED), words, RunWords)
     estimation = _Estimation(diagram, _text(diagram, u), names, signal, model, case, tolerance, progress)
     if isinstance(signal, SineStream):
@@ -240,7 +240,7 @@ def estimate_response(
     return estimation.chirp(signal)
 
 
-def _text(diagram: Diagram, name: PortName | str) -> str:
+def _text(diagram: Diagram, name: str) -> str:
     if isinstance(name, PortName) and name.diagram is not diagram:
         message = f"belongs to the diagram {name.diagram.name}, not to this {diagram.name}."
         raise UsageError(Fault("E501", name.text, message))

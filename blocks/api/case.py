@@ -26,10 +26,11 @@ from ..model.diagram_value import DiagramValue
 from ..model.trust import Paths, paths_of
 from ..model.variants import taken
 from ..text.element_names import matching
-from ..text.errors import Fault, UsageError, check_mappings, did_you_mean
+from ..text.errors import Fault, UsageError, check_mappings
+from ..text.other_words import argument_meant
 from ..text.printable import legible
 from .given_values import picked
-from .ports import PortName, plain_settings
+from .ports import plain_settings
 
 Time = float | Fraction | str | Mapping[str, Any]
 Inputs = Mapping[str, Any] | str | Path | Sequence[Any]
@@ -50,7 +51,7 @@ class Settings(TypedDict, total=False):
     stops: Sequence[Time] | None
     seed: int | None
     loops: str | None
-    log: PortName | str | Sequence[PortName | str] | None
+    log: str | Sequence[str] | None
     master: Mapping[str, object] | None
 
 
@@ -313,7 +314,7 @@ def check_words(words: Mapping[str, object], kind: type, less: Sequence[str] = (
         elif word == "settings":
             message, cure = "is no argument: each setting is one.", "Write stop=10 in place of settings={'stop': 10}."
         else:
-            message, cure = "is not an argument.", did_you_mean(word, known) or f"Arguments: {', '.join(known)}."
+            message, cure = "is not an argument.", argument_meant(word, known) or f"Arguments: {', '.join(known)}."
         raise UsageError(Fault("E501", legible(word), message, cure))
 
 
@@ -358,7 +359,8 @@ def _check_inputs(word: str, given: Inputs) -> None:
                 _refuse(word, [*source], "values by name")
         elif not isinstance(source, (str, os.PathLike)):
             message = f"{type(source).__name__} is neither a mapping of values by name nor the path of a file."
-            raise UsageError(Fault("E501", word, message, 'Example: inputs={"r": 1.0}.'))
+            cure = 'Examples: inputs={"r": 1.0}, and over time inputs={"r": (t, u)}.'
+            raise UsageError(Fault("E501", word, message, cure))
 
 
 def _check_interpolation(word: str, given: object) -> None:

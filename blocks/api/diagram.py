@@ -20,7 +20,7 @@ import builtins
 import enum
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,6 +44,7 @@ from ..model.variants import Swap, taken
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.other_words import Guided
 from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
 from .case import (
@@ -99,7 +100,7 @@ MOST_DRAWN = 100
 """Blocks of a diagram whose FMU shows its drawing."""
 
 
-class Diagram:
+class Diagram(Guided):
     """A block diagram that can be built, loaded, saved, checked and run.
 
     folder: where the paths of subdiagram files begin (the current folder unless given). library: block types, modules
@@ -221,7 +222,7 @@ class Diagram:
         self._draft.put("inputs", entries.inputs)
         return PortName(self, name, False, unit)
 
-    def output(self, name: str, source: PortName | str) -> None:
+    def output(self, name: str, source: str) -> None:
         """An output of the diagram."""
         self._draft.check_free(name, "output")
         self._draft.put("outputs", {name: source_text(source, self)})
@@ -250,6 +251,8 @@ class Diagram:
         or an expression ("=n"); each port has one more dimension then. Raises ModelError for a name that is taken or
         parameters that do not fit.
         """
+        if isinstance(block, str) and not isinstance(name, str):
+            raise UsageError(Fault("E501", legible(block), "the name comes first.", f'Write add("{block}", ...).'))
         self._draft.check_free(name, "block")
         control = {"enable": enable, "trigger": trigger}
         control = {key: value for key, value in control.items() if value is not None}
@@ -272,17 +275,25 @@ class Diagram:
         return self._draft.subdiagram(name, source, block.parameters, **said)
 
     def __getitem__(self, name: str) -> Handle:
-        """The ports of a block that is there already."""
+        """The ports of a block that is there already; `in` and iteration are over the names of blocks."""
         blocks = self._draft.section("blocks")
         if name not in blocks:
-            cure = did_you_mean(name, blocks) or f"Blocks: {', '.join(blocks) or 'none'}."
-            raise UnknownName(f"there is no block {name!r}. {cure}")
+            block, _, port = str(name).partition(".")
+            inner = f'Write diagram["{block}"].{port}.' if block in blocks and port else ""
+            cure = inner or did_you_mean(str(name), blocks) or f"Blocks: {', '.join(blocks) or 'none'}."
+            raise UnknownName(f"there is no block {str(name)!r}. {cure}")
         return Handle(self, name, *self._draft.ports(name, blocks[name]))
 
-    def _ipython_key_completions_(self) -> list[str]:
-        return list(self._draft.section("blocks"))
+    def __contains__(self, name: object) -> bool:
+        return name in self._draft.section("blocks")
 
-    def wire(self, sink: PortName | str, source: PortName | str) -> None:
+    def __iter__(self) -> Iterator[str]:
+        return iter(list(self._draft.section("blocks")))
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
+
+    def wire(self, sink: str, source: str) -> None:
         """Connect a source to a sink: the sink comes first, as in the file.
 
         If a vector reaches a block whose input takes one value, the block gets `copies`, one for each element, and so
@@ -291,7 +302,7 @@ class Diagram:
         """
         self._draft.wire(sink_text(sink, source, self), source_text(source, self))
 
-    def unwire(self, sink: PortName | str) -> None:
+    def unwire(self, sink: str) -> None:
         """Remove the wire of an input; copies that a wire gave to the block stay. Raises UsageError (E501)."""
         self._draft.unwire(text_of(sink, self))
 
@@ -367,8 +378,8 @@ class Diagram:
         self,
         name: str,
         type: str,
-        of: PortName | str,
-        against: PortName | str | float | None = None,
+        of: str,
+        against: str | float | None = None,
         *,
         start: object = None,
         stop: object = None,
@@ -681,12 +692,12 @@ class Diagram:
     @takes(PointWords)
     def linearize(
         self,
-        u: PortName | str | Sequence[PortName | str] = (),
-        y: PortName | str | Sequence[PortName | str] = (),
+        u: str | Sequence[str] = (),
+        y: str | Sequence[str] = (),
         case: Case | None = None,
         *,
         at: OperatingPoint | Run | float | None = None,
-        openings: PortName | str | Sequence[PortName | str] = (),
+        openings: str | Sequence[str] = (),
         amplitude: Mapping[str, object] | None = None,
         sigma: Mapping[str, object] | None = None,
         overrides: Mapping[str, object] | None = None,

@@ -9,6 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from ..contract.enumerations import resting
+from ..model.diagram_grammar import MEASURES
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.settings import seconds
@@ -45,6 +46,9 @@ def picked(value: DiagramValue, measures: Sequence[str] | None) -> DiagramValue:
             f'measures=["{legible(measures)}"].'))
     for name in measures:
         if name not in value.measures:
-            cure = did_you_mean(str(name), value.measures) or f"Measures: {', '.join(value.measures) or 'none'}."
+            known = f"Measures: {', '.join(value.measures) or 'none'}."
+            kind = name if name in MEASURES else "peak"
+            add = f'Add one: diagram.measure("{kind}", "{kind}", of="plant.y").'
+            cure = did_you_mean(str(name), value.measures) or (known if value.measures else f"{known} {add}")
             raise UsageError(Fault("E501", legible(str(name)), "the diagram has no such measure.", cure))
     return replace(value, measures={name: value.measures[name] for name in measures})

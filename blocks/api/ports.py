@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from ..host.ipython_errors import UnknownPort
@@ -22,30 +21,44 @@ class Named(Protocol):
     def name(self) -> str: ...
 
 
-@dataclass(frozen=True, slots=True)
-class PortName:
-    """A port of a block in a diagram, or an input of the diagram; `port[0]` is an element, `port["x"]` one of a bus."""
+class PortName(str):
+    """A port of a block in a diagram, or an input of the diagram; `port[0]` is an element, `port["x"]` one of a bus.
 
+    It is its name as a text, so that it can be used wherever a signal is named: `results[motor.omega]`.
+    """
+
+    __slots__ = ("diagram", "is_input", "unit")
     diagram: Named
-    text: str
     is_input: bool
-    unit: str = ""
+    unit: str
 
-    def __getitem__(self, index: int | str) -> PortName:
-        text = f"{self.text}[{index}]"
+    def __new__(cls, diagram: Named, text: str, is_input: bool, unit: str = "") -> PortName:
+        port = super().__new__(cls, text)
+        port.diagram, port.is_input, port.unit = diagram, is_input, unit
+        return port
+
+    def __getnewargs__(self) -> Any:
+        return self.diagram, self.text, self.is_input, self.unit
+
+    @property
+    def text(self) -> str:
+        """The name alone."""
+        return str(self)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):  # messages cut long names
+            return self.text[index]
+        text = f"{self}[{index}]"
         is_element = bool(named_element(text)[1]) if isinstance(index, str) else index >= 0
-        if "[" in self.text or not is_element:
+        if "[" in self or not is_element:
             raise IndexError(f"{text}: give the index of an element, 0 or more, or the name of an element of a bus.")
-        return replace(self, text=text)
+        return PortName(self.diagram, text, self.is_input, self.unit)
 
     def __iter__(self) -> Any:
-        raise TypeError(f"{self.text} is the name of a port; its elements are {self.text}[0], {self.text}[1], ...")
-
-    def __str__(self) -> str:
-        return self.text
+        raise TypeError(f"{self} is the name of a port; its elements are {self}[0], {self}[1], ...")
 
     def __repr__(self) -> str:
-        return f"<{'input' if self.is_input else 'output'} {self.text}{f' [{self.unit}]' if self.unit else ''}>"
+        return f"<{'input' if self.is_input else 'output'} {self}{f' [{self.unit}]' if self.unit else ''}>"
 
 
 class Handle:
@@ -87,7 +100,7 @@ class Handle:
 # --- their texts -----------------------------------------------------------------------------------------------
 
 
-def text_of(port: PortName | str, diagram: Named) -> str:
+def text_of(port: str, diagram: Named) -> str:
     """Return a port as a text. Raises ModelError (E105) if it belongs to another diagram, UsageError (E501)."""
     if isinstance(port, PortName):
         if port.diagram is not diagram:
@@ -102,7 +115,7 @@ def text_of(port: PortName | str, diagram: Named) -> str:
     return port
 
 
-def source_text(source: PortName | str, diagram: Named) -> str:
+def source_text(source: str, diagram: Named) -> str:
     """Where a wire begins. Raises ModelError (E105, E112), UsageError (E501)."""
     if isinstance(source, PortName) and source.is_input:
         raise ModelError(
@@ -111,7 +124,7 @@ def source_text(source: PortName | str, diagram: Named) -> str:
     return text_of(source, diagram)
 
 
-def sink_text(sink: PortName | str, source: PortName | str, diagram: Named) -> str:
+def sink_text(sink: str, source: str, diagram: Named) -> str:
     """Where a wire from a source ends. Raises ModelError (E105, E112), UsageError (E501)."""
     text = text_of(sink, diagram)
     if isinstance(sink, PortName) and not sink.is_input:
@@ -121,10 +134,10 @@ def sink_text(sink: PortName | str, source: PortName | str, diagram: Named) -> s
     return text
 
 
-def signal_names(names: PortName | str | Sequence[PortName | str]) -> list[str]:
+def signal_names(names: str | Sequence[str]) -> list[str]:
     """Names of signals, which may be given as ports."""
-    name_list = [names] if isinstance(names, (str, PortName)) else names
-    if not isinstance(name_list, (list, tuple)) or not all(isinstance(name, (str, PortName)) for name in name_list):
+    name_list = [names] if isinstance(names, str) else names
+    if not isinstance(name_list, (list, tuple)) or not all(isinstance(name, str) for name in name_list):
         raise UsageError(
             Fault("E501", "linearize", f"{name_list!r} is neither the name of a signal nor a list of names.")
         )
@@ -137,8 +150,8 @@ def plain_settings(settings: Mapping[str, object]) -> dict[str, object]:
     if isinstance(inputs := settings.get("inputs"), Mapping):
         plain["inputs"] = {name: read_quantity(raw) for name, raw in inputs.items()}
     log = settings.get("log")
-    if isinstance(log, (str, PortName)):
+    if isinstance(log, str):
         plain["log"] = [str(log)]
     elif isinstance(log, (list, tuple)):
-        plain["log"] = [name.text if isinstance(name, PortName) else name for name in log]
+        plain["log"] = [str(name) if isinstance(name, str) else name for name in log]
     return plain

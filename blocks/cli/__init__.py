@@ -27,6 +27,7 @@ from typing import Any, NoReturn
 
 from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
+from ..text.other_words import option_meant
 from .output import say, silence, tell_faults
 from .stop_signals import INTERRUPTED, hearing
 
@@ -196,15 +197,10 @@ class _Parser(argparse.ArgumentParser):
             every = (action for parser in _every(self) for action in parser._actions)
             known = [option for action in every for option in action.option_strings]
             option = first.partition("=")[0].partition(" ")[0]
-            option = _MEANT.get(option, option) if _MEANT.get(option) in known else option
-            cure = (did_you_mean(option, known) if is_option else "") or cure
+            cure = (option_meant(option, known) if is_option else "") or cure
         if not message.endswith("."):
             message += "."
         raise UsageError(Fault("E501", place, message, cure))
-
-
-_MEANT = {"--type": "--kind"}
-"""Options as FMPy has them, and their names here."""
 
 
 def _short(word: str) -> str:

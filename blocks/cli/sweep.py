@@ -35,7 +35,8 @@ from .stop_signals import INTERRUPTED, ended_at_once
 if TYPE_CHECKING:
     from ..studies.sweep import Sweep
 
-_WORDS = {r"\bn=(\d+)": r"--n \1", r"^Leave n out": "Leave --n out", r"restart=True, --restart": "--restart"}
+_WORDS = {r"\bn=(\d+)": r"--n \1", r"^Leave n out": "Leave --n out", r"restart=True, --restart": "--restart",
+          r"^Give stop=\.\.\.": "Give --stop T"}  # fmt: skip
 """How the command line says what messages tell of arguments of Python."""
 
 

@@ -124,10 +124,16 @@ def read_inputs(plan: Plan, raw: Mapping[str, object], *, interpolation: str = "
             given = raw[name] if name in raw else _in_si(default or (), shape, unit)
             tracks.append(_track(given, shape, unit, type_, interpolation))
         except (ValueError, TypeError) as error:
-            faults.append(Fault("E502", name, sentence_of(error)))
+            cure = f'Over time, give the times too: inputs={{"{name}": (t, u)}}.'
+            faults.append(Fault("E502", name, sentence_of(error), cure if _is_series(raw.get(name), shape) else ""))
     if faults:
         raise UsageError(*faults)
     return InputTable(tuple(tracks))
+
+
+def _is_series(raw: object, shape: tuple[int, ...]) -> bool:
+    """Return whether a refused value may have been meant over time: a list, an array, a table or a function."""
+    return (isinstance(raw, list) and not shape) or callable(raw) or bool(getattr(raw, "ndim", 0))
 
 
 def constant(raw: object, shape: tuple[int, ...], unit: str, type_: str) -> Array:

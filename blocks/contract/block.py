@@ -153,6 +153,10 @@ def _by_name(known: Mapping[str, Parameter], given: object) -> str:
     return f"{plain[0] if plain else 'k'}={shown if len(shown) < 60 else '...'}"
 
 
+_OF_ADDING = ("copies", "doc", "stream", "enable", "trigger")
+"""Arguments of `Diagram.add`."""
+
+
 class Block(metaclass=BlockMeta):
     """A block: parameter values of a declared type, and nothing else.
 
@@ -175,15 +179,19 @@ class Block(metaclass=BlockMeta):
             cure = f"Write {cls.__name__}({_by_name(known, unnamed[0])})."
             if type(unnamed[0]).__module__.startswith(("control.", "scipy.signal.")):
                 cure = 'Add the system itself, as in diagram.add("p", P).'
+                if len(unnamed) > 1:
+                    cure = f"Write {cls.__name__}({', '.join(f'{name}=...' for name in cls.declaration.parameters)})."
             raise UsageError(Fault("E501", cls.__name__, "takes parameters by name only.", cure))
         faults = [
             Fault(
                 "E106",
                 f"{cls.__name__}.{name}",
                 "there is no such parameter.",
-                did_you_mean(name, known) or f"Parameters: {', '.join(known) or 'none'}."
-                if name not in cls.declaration.streams
-                else f'Name the stream when you add the block: add("x", {cls.__name__}(), {name}="...").',
+                f'Name the stream when you add the block: add("x", {cls.__name__}(), {name}="...").'
+                if name in cls.declaration.streams
+                else f'Give it when you add the block: add("x", {cls.__name__}(), {name}=...).'
+                if name in _OF_ADDING
+                else did_you_mean(name, known) or f"Parameters: {', '.join(known) or 'none'}.",
             )
             for name in parameters
             if name not in known

@@ -153,7 +153,7 @@ class _Resolving:
                 self.values[name] = Value(np.broadcast_to(value.value, shape), value.exact, value.unit)
             elif value.value.shape != shape:
                 message = f"has the shape {_shape(value.value.shape)}, but {_shape(shape)} is needed."
-                self.fault("E110", name, message, "" if shape else _cure_of_list(value.value.shape))
+                self.fault("E110", name, message, "" if shape else _cure_of_list(name, value.value.shape))
 
     def check_ranges(self) -> None:
         settled = _settled(self.declaration)
@@ -705,11 +705,14 @@ def _nominal(
     return sizes
 
 
-def _cure_of_list(shape: tuple[int, ...]) -> str:
+def _cure_of_list(name: str, shape: tuple[int, ...]) -> str:
     """Return the cure where an array is given for one number."""
     if math.prod(shape) == 1:
         return "Give the number without brackets."
-    return f'Give one number, or give the block "copies": {shape[0]}, one for each.' if len(shape) == 1 else ""
+    if len(shape) > 1:
+        return "The block that multiplies by a matrix is MatrixGain." if name == "k" else ""
+    count = shape[0]
+    return f'Give one number, or give the block "copies": {count} (in Python add(..., copies={count})), one for each.'
 
 
 def _shape(shape: tuple[int, ...]) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.other_words import system_of
 from .realization import Realization, balanced, check_finite, equivalent, invariant_zeros, period, variable
 
 _MANY = 200  # states; above, zeros of channels would cost more than they are worth
@@ -103,6 +104,7 @@ def source(system: Any) -> Source:
     if callable(getattr(system, "frd", None)):  # a Response
         return _of_points(system.frd())
     cure = "Give a StateSpace, TransferFunction or FrequencyResponseData, or an object with .response and .dt."
+    cure = system_of(type(system).__name__) or cure
     raise UsageError(Fault("E501", "system", f"{type(system).__name__} is not a linear system.", cure))
 
 

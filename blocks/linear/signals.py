@@ -50,11 +50,22 @@ def places(graph: Interconnection, name: str) -> tuple[SignalElement, ...]:
         return elements
     base, index = indexed(name)
     whole = _found(graph, base) if index is not None else None
-    if whole is not None and index is not None and len(whole) > 1 and index < len(whole):
+    if whole is not None and index is not None and index < len(whole) and (len(whole) > 1 or _is_vector(graph, base)):
         return (whole[index],)
     known = list(all_names(graph))
-    cure = did_you_mean(name[:200], known) or f"Signals: {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}."
+    outer = name.rpartition(".")[0]
+    cure = f"Did you mean '{outer}'?" if outer in graph.plan.signals else did_you_mean(name[:200], known)
+    cure = cure or f"Signals: {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}."
     raise UsageError(Fault("E501", quoted(name[:200]), "there is no such signal.", cure))
+
+
+def _is_vector(graph: Interconnection, name: str) -> bool:
+    """Return whether a signal or an input of a block has elements, be it a single one."""
+    if name in graph.plan.signals:
+        return bool(graph.plan.signals[name].shape)
+    path, _, port = name.rpartition(".")
+    ports = (graph.type_of[i].tape.interface.inputs.get(port) for i in graph.at_path.get(path, ()))
+    return any(known is not None and known.shape for known in ports)
 
 
 def place(graph: Interconnection, name: str) -> SignalElement:

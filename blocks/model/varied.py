@@ -222,6 +222,8 @@ def _found(name: str, parameters: _Parameters) -> tuple[list[str], str]:
         what = "matches no parameter" if "*" in path else "there is no such parameter"
         alike = [each for each in known if each.rpartition(".")[2] == last]
         cure = did_you_mean(path[:200], known) or (f"Did you mean {', '.join(alike[:3])}?" if alike else "")
+        if (parts := name.partition("["))[0] in known and "][" in parts[2]:
+            cure = f"Did you mean '{name.replace('][', ',')}'?"
         plain = without_copies(path, parameters.copies)
         if plain in known:
             around = (one for one in parameters.copies.items() if plain.startswith(f"{one[0]}."))

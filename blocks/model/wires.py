@@ -709,6 +709,8 @@ class Wires:
             if not _fits(port.type, type_):
                 what = f"is {_typed(port.type)}, but {feed.text} is {_typed(type_)}."
                 cure = "Insert a CompareToConstant, which turns a number into a bool." if port.type == "bool" else ""
+                if cure and port.name == "control":
+                    cure += " For a Switch, use SwitchAbove instead: its control is a number."
                 if (wanted_ := enumeration_of(port.type)) is not None:
                     entry = json.dumps(wanted_.entry, ensure_ascii=False)
                     first = json.dumps(next(iter(wanted_.members)), ensure_ascii=False)

@@ -17,6 +17,7 @@ from ..text.arrays import Array
 from ..text.atomic_write import write_atomically
 from ..text.element_names import element_names, indexed, named_element
 from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.other_words import Guided, signal_meant
 from ..text.printable import counted, quoted
 from ..text.rich_output import Part, Shown, Table, as_html, as_text
 from . import files
@@ -198,7 +199,7 @@ class Between(Protocol):
 
 
 @dataclass(frozen=True, repr=False)
-class Results(Shown):
+class Results(Guided, Shown):
     """Recorded signals of one run, by name.
 
     t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value, but on a grid
@@ -286,6 +287,10 @@ class Results(Shown):
         return name in self.columns
 
     def __getitem__(self, name: str) -> Signal:
+        if not isinstance(name, str):
+            cure = 'One element is results["y[0]"]; several signals are results.to_pandas()[["u", "y"]].'
+            raise UnknownName(f"{name!r} is not the name of a signal. {cure}")
+        name = str(name)
         if name not in self.columns:
             base, index = indexed(name)
             if index is not None and base in self.columns:
@@ -295,7 +300,7 @@ class Results(Shown):
             bus, element = named_element(name)
             if element and bus in self.columns:
                 raise UnknownName(f"{bus} is recorded by number. Use {bus}[0], or add {name!r} to the log.")
-            cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
+            cure = f"{signal_meant(name, self.columns)} Recorded: {', '.join(self.columns)}."
             raise UnknownName(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]
         block = self._block(first, math.prod(shape))
@@ -403,35 +408,42 @@ class Results(Shown):
         """Write the same to an open text stream."""
         files.write_csv(stream, self._table(), metadata=False)
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self, *, jumps: bool = True) -> Any:
         """A pandas DataFrame: the index is the time in s, a column for each recorded element.
 
         `attrs` holds "units" by signal, "diagram" and what the origin says. A jump stands as two rows of one index
-        value. Raises UsageError (E504) where pandas is not installed.
+        value. jumps=False: as the second alone, so that each time is there once, as `reindex` needs it. Raises
+        UsageError (E504) where pandas is not installed.
         """
         pandas = optional("pandas", "to_pandas")
-        names = [name for name, _, _ in self.flat_columns()]
-        frame = pandas.DataFrame(self.values.copy(), index=pandas.Index(self.t.copy(), name="time"), columns=names)
+        names, rows = [name for name, _, _ in self.flat_columns()], self._rows(jumps)
+        index = pandas.Index(self.t[rows].copy(), name="time")
+        frame = pandas.DataFrame(self.values[rows].copy(), index=index, columns=names)
         frame.attrs.update(self._table().described())
         return frame
 
-    def to_xarray(self) -> Any:
+    def to_xarray(self, *, jumps: bool = True) -> Any:
         """Return an xarray Dataset: a variable for each signal over the dimension time, with more of vectors.
 
         A variable has its unit in `attrs["units"]`; `attrs` of the dataset hold "diagram" and the origin. A jump is two
-        rows of one time. Raises UsageError (E504) if xarray is not installed.
+        rows of one time. jumps=False: only the second, so that each time is there once, as `interp` and `sel` need it.
+        Raises UsageError (E504) if xarray is not installed.
         """
-        xarray = optional("xarray", "to_xarray")
+        xarray, rows = optional("xarray", "to_xarray"), self._rows(jumps)
         names = unique(["time", *self.names], longest=1000)[1:]
         variables = {}
         for name, signal in zip(names, map(self.__getitem__, self.names), strict=True):
             axes = [f"{name}_{axis}" for axis in range(1, signal.ndim)]
             attrs = {"units": signal.unit} if signal.unit else {}
-            variables[name] = (("time", *axes), np.array(signal), attrs)
+            variables[name] = (("time", *axes), np.array(signal[rows]), attrs)
         # A netCDF file holds texts and numbers only.
         told = {key: value if isinstance(value, (str, int, float)) else json.dumps(value, default=str)
                 for key, value in self._table().metadata.items()}  # fmt: skip
-        return xarray.Dataset(variables, {"time": ("time", self.t.copy(), {"units": "s"})}, attrs=told)
+        return xarray.Dataset(variables, {"time": ("time", self.t[rows].copy(), {"units": "s"})}, attrs=told)
+
+    def _rows(self, jumps: bool) -> Array | slice:
+        """Return the rows of a table: all with jumps, else the last one of each time."""
+        return slice(None) if jumps else np.flatnonzero(np.append(np.diff(self.t) > 0, True)[: len(self.t)])
 
     def _table(self, *, is_lazy: bool = False) -> FileTable:
         """is_lazy: rows that lie in a file stay there."""
@@ -446,7 +458,7 @@ class Results(Shown):
 
     def plot(
         self,
-        *names: str,
+        *names: str | Sequence[str],
         most: int = 4,
         label: str = "",
         beside: Mapping[str, Results] | None = None,
@@ -456,8 +468,9 @@ class Results(Shown):
 
             results.plot("motor.omega", size=(6, 3), xlim=(0, 2), ylabel="speed [rad/s]").savefig("speed.pdf")
 
-        beside: other results by their labels in the legend: a panel for each signal, with a curve of each result, in
-        the unit that the signal has here. label: the label of these results; by default the name of the diagram.
+        names: signals, or lists of them; of a vector all elements. beside: other results by their labels in the legend:
+        a panel for each signal, with a curve of each result, in the unit that the signal has here. label: the label of
+        these results; by default the name of the diagram.
         size, title, xlabel, ylabel, xlim, ylim: see `results.plots.Look`. Raises UsageError (E501; E505 for units of
         different quantities), KeyError.
         """
@@ -467,7 +480,7 @@ class Results(Shown):
             if (label or self.diagram) in beside:
                 message = f"two results have the label {quoted(label or self.diagram)}."
                 raise UsageError(Fault("E501", "plot", message, 'Set label="..." for one of them.'))
-            return self._overlaid({label or self.diagram: self, **beside}, names, most, look)
+            return self._overlaid({label or self.diagram: self, **beside}, _listed(names), most, look)
         columns = self._elements()
         picked = self._picked(names) if names else list(columns)[:most]
         if len(picked) > most:
@@ -505,7 +518,7 @@ class Results(Shown):
 
     def step_info(
         self,
-        *names: str,
+        *names: str | Sequence[str],
         yfinal: float | None = None,
         SettlingTimeThreshold: float = 0.02,
         RiseTimeLimits: tuple[float, float] = (0.1, 0.9),
@@ -522,10 +535,10 @@ class Results(Shown):
             for name in (self._picked(names) if names else self._elements())
         }
 
-    def _picked(self, names: Sequence[str]) -> list[str]:
+    def _picked(self, names: Sequence[str | Sequence[str]]) -> list[str]:
         """Return the elements of the named signals. Raises KeyError."""
         columns, picked = self._elements(), list[str]()
-        for name in names:
+        for name in _listed(names):
             if name in columns:
                 picked.append(name)
                 continue
@@ -582,13 +595,19 @@ def _window_of(look: Look) -> tuple[float, float] | None:
     return None
 
 
+def _listed(names: Sequence[str | Sequence[str]]) -> list[str]:
+    """Return names that were given one by one, as ports or in lists."""
+    lists = ([name] if isinstance(name, str) else name for name in names)
+    return [str(name) for each in lists for name in each]
+
+
 def _short(value: float) -> str:
-    return f"{value:.5g}"
+    return f"{value + 0.0:.5g}"  # 0 for -0
 
 
 def measured(value: float) -> str:
     """The value of a measure. NaN: the run does not cover its window (see its warning), or nothing settled."""
-    return f"{value:.7g}" if math.isfinite(value) else "-"
+    return f"{value + 0.0:.7g}" if math.isfinite(value) else "-"
 
 
 class _AtNeed:

@@ -21,6 +21,7 @@ from ..results.table import optional, unique
 from ..text.arrays import Array
 from ..text.atomic_write import known_ending, write_atomically
 from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.other_words import Guided
 from ..text.printable import counted, legible
 from ..text.rich_output import Part, Shown, Table, as_text
 from . import statistics
@@ -35,7 +36,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep(Shown):
+class Sweep(Guided, Shown):
     """The rows of a sweep, tidy: all of the first scenario, then all of the second.
 
     varied: by column (n,), floats, or objects for values that are no numbers. units: by column and signal. scenarios:
@@ -79,10 +80,20 @@ class Sweep(Shown):
             cure = did_you_mean(str(scenario), self.scenarios)
             if isinstance(scenario, int | np.integer):
                 cure = f"To run row {scenario} again, call single({scenario})."
+            for table in ("signals", "measures", "varied"):
+                if isinstance(scenario, str) and scenario in getattr(self, table):
+                    cure = f'It is one of the {table}: sweep.{table}["{scenario}"].'
             raise UnknownName(f"there is no scenario {scenario!r}. {cure}{' ' if cure else ''}{known}")
         rows = np.flatnonzero(self.scenario == self.scenarios.index(scenario))
         first = np.zeros(len(rows), dtype=np.int64)
         return replace(self.taken(rows), scenarios=(scenario,), scenario=first, base=self.base)
+
+    def __contains__(self, scenario: object) -> bool:
+        return scenario in self.scenarios
+
+    def __iter__(self) -> Iterator[object]:
+        cure = "Rows are in sweep.to_pandas() and sweep.single(i), scenarios in sweep.scenarios and each_scenario()."
+        raise TypeError(f"a sweep cannot be iterated: it has rows and scenarios. {cure}")
 
     def taken(self, rows: Array) -> Sweep:
         """Some of the rows, by their places (m,) or by a mask (n,)."""
@@ -188,7 +199,7 @@ class Sweep(Shown):
         """
         self._one_scenario("quantiles")
         levels = np.asarray(q, dtype=float)
-        return {name: statistics.quantiles(self.values(name), levels) for name in names or self.measures}
+        return {str(name): statistics.quantiles(self.values(name), levels) for name in names or self.measures}
 
     def correlations(self, *, kind: str = "pearson") -> dict[str, dict[str, float]]:
         """By measure and column of numbers, the coefficient of correlation; nan where one of them is constant.
@@ -228,7 +239,7 @@ class Sweep(Shown):
                 return known[name]
         names = [*self.measures, *self.signals, *self.varied]
         cure = did_you_mean(str(name), names) or f"Known: {', '.join(names)}."
-        raise UnknownName(f"the sweep has no {name!r}. {cure} To keep a signal, log it: sweep(..., log=[...]).")
+        raise UnknownName(f"the sweep has no '{name}'. {cure} To keep a signal, log it: sweep(..., log=[...]).")
 
     def _one_scenario(self, what: str) -> None:
         if len(self.scenarios) > 1:

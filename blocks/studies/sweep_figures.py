@@ -133,7 +133,7 @@ def _stepped(sweep: Sweep) -> list[str]:
 
 
 def _names(given: str | Sequence[str] | Any) -> list[str]:
-    return [given] if isinstance(given, str) else [str(name) for name in given]
+    return [str(name) for name in ([given] if isinstance(given, str) else given)]
 
 
 def _unknown(name: str, known: Sequence[str], what: str, more: str = "") -> UsageError:

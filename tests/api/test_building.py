@@ -52,8 +52,8 @@ add("a", PMDCMotor(La="2 mV"))
 add("a", Gain(k=True))
     ModelError: E107 a.k: must be a number, not True.
 add("a", Gain(k=[1.0, 2.0]))
-    ModelError: E110 a.k: has the shape 2, but a scalar is needed. Give one number, or give the block "copies": 2, one
-    for each.
+    ModelError: E110 a.k: has the shape 2, but a scalar is needed. Give one number, or give the block "copies": 2
+    (in Python add(..., copies=2)), one for each.
 add("a", Gain(k=math.inf))
     ModelError: E107 a.k: must be finite, not inf. Only limits such as those of Saturation may be infinite.
 add("a", Gain(k=math.nan))
@@ -108,8 +108,8 @@ add("a", FirstOrder(T=-1.0))
 add("a", FirstOrder(T={"value": -1.0, "unit": "ms"}))
     ModelError: E107 a.T: must be above 0, not -0.001.
 add("a", FirstOrder(y_start=[1.0, 2.0]))
-    ModelError: E110 a.y_start: has the shape 2, but a scalar is needed. Give one number, or give the block "copies": 2,
-    one for each.
+    ModelError: E110 a.y_start: has the shape 2, but a scalar is needed. Give one number, or give the block "copies": 2
+    (in Python add(..., copies=2)), one for each.
 add("a", FirstOrder(T=[[[1.0]]]))
     ModelError: E110 a.T: has the shape 1 x 1 x 1, but a scalar is needed. Give the number without brackets.
 add("a", Saturation(lower=1.0, upper=-1.0))

@@ -349,7 +349,8 @@ def test_a_number_is_no_bool_but_a_bool_is_0_or_1() -> None:
         d.wire(port, "c.y")
     assert text(d.check) == (
         "E104 switch.control: is a bool, but c.y is a number. "
-        "Insert a CompareToConstant, which turns a number into a bool."
+        "Insert a CompareToConstant, which turns a number into a bool. "
+        "For a Switch, use SwitchAbove instead: its control is a number."
     )
     counts = pair()
     counts.wire("g.u", counts.input("b", type="bool"))

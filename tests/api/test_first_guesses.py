@@ -1,0 +1,235 @@
+"""What users of other tools type first: it works, or the error says what to write."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import control
+import numpy as np
+import pandas
+import pytest
+
+from blocks import (
+    Diagram,
+    FirstOrder,
+    Gain,
+    Results,
+    Saturation,
+    StateObserver,
+    StateSpace,
+    Step,
+    Sum,
+    Sweep,
+    Switch,
+)
+from blocks.analysis import bode, margins
+from blocks.cli import main
+
+P = control.ss([[0, 1], [-1, -1]], [[0], [1]], [[1, 0]], [[0]])
+
+
+@pytest.fixture
+def d() -> Diagram:
+    return loop()
+
+
+def loop() -> Diagram:
+    d = Diagram("loop")
+    r = d.input("r", default=1.0)
+    e = d.add("e", Sum(signs="+-"))
+    K = d.add("K", Gain(k=4.0))
+    G = d.add("G", StateSpace(A=[[0.0, 1.0], [-1.0, -0.5]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], D=[[0.0]]))
+    d.wire(e.u1, r)
+    d.wire(e.u2, G.y)
+    d.wire(K.u, e.y)
+    d.wire(G.u, K.y)
+    return d
+
+
+@pytest.fixture(scope="module")
+def results() -> Results:
+    return loop().run(stop=2)
+
+
+@pytest.fixture(scope="module")
+def sweep() -> Sweep:
+    return loop().sweep({"K.k": [1.0, 2.0]}, log=["G.y"], stop=1)  # type: ignore[no-any-return]
+
+
+# --- ports as names ----------------------------------------------------------------------------------------------
+
+
+def test_a_port_is_its_name_wherever_a_signal_is_named(d: Diagram, results: Results, sweep: Sweep) -> None:
+    G, K = d["G"], d["K"]
+    assert np.array_equal(results[G.y], results["G.y"])
+    assert np.array_equal(results[G.y[0]], results["G.y"][:, 0])
+    assert results.step_info(K.y) == results.step_info("K.y")
+    assert [axes.get_ylabel() for axes in results.plot(K.y, G.x).axes] == ["K.y", "G.x[0]", "G.x[1]"]
+    assert [*d.sweep({"K.k": [1.0]}, log=[G.y], stop=1).signals] == ["G.y"]
+    assert np.array_equal(sweep.signals[G.y], sweep.signals["G.y"])
+    assert [*sweep.quantiles(G.y)] == ["G.y"]
+    assert type(*sweep.quantiles(G.y)) is str
+    assert len(sweep.plot(G.y).axes) == 1
+    linearizer = d.linearizer()
+    for one, other in ((K.y, "K.y"), (G.y, "G.y"), ([G.y[0]], "G.y[0]")):
+        L = linearizer.loop(one)
+        assert np.array_equal(L(1j), linearizer.loop(other)(1j))
+        assert L(1j) == pytest.approx(4 / (1j**2 + 0.5j + 1))
+    with pytest.raises(ValueError, match=r'"K.y\[0\]": there is no such signal. Did you mean \'K.y\'?'):
+        linearizer.loop("K.y[0]")
+
+
+def test_a_port_can_be_copied_and_written_and_has_elements_in_place_of_letters(d: Diagram) -> None:
+    port = d.input("f", unit="N", size=2)
+    for other in (copy.copy(port), copy.deepcopy(port), pickle.loads(pickle.dumps(port))):
+        assert (type(other), other, other.unit, other.is_input) == (type(port), "f", "N", False)
+    assert json.dumps([port]) == '["f"]'
+    assert (repr(port), str(port[1]), f"{port}") == ("<output f [N]>", "f[1]", "f")
+    assert type(str(port)) is str
+    with pytest.raises(TypeError, match=r"its elements are f\[0\]"):
+        list(port)
+
+
+def test_signals_can_be_given_as_a_list(results: Results) -> None:
+    assert results.step_info(["G.y", "K.y"]) == results.step_info("G.y", "K.y")
+    labels = [axes.get_ylabel() for axes in results.plot(["G.y", "K.y"]).axes]
+    assert labels == [axes.get_ylabel() for axes in results.plot("G.y", "K.y").axes]
+    overlaid = results.plot(["G.y[0]", "K.y"], beside={"again": results})
+    assert [axes.get_ylabel() for axes in overlaid.axes] == ["G.y[0]", "K.y"]
+
+
+def test_a_diagram_can_be_asked_for_its_blocks(d: Diagram) -> None:
+    assert list(d) == ["e", "K", "G"]
+    assert "G" in d
+    assert "g" not in d
+    assert 0 not in d
+    assert Diagram("empty")
+    for name in d:
+        d.add(f"{name}_again", Gain())  # a loop over blocks may add some
+    assert len(list(d)) == 6
+
+
+def test_without_jumps_each_time_is_there_once(d: Diagram) -> None:
+    d.add("step", Step(at=1.0))
+    d.settings(log=["step.y", "G.x"])
+    results = d.run(stop=2)
+    twice = np.flatnonzero(np.diff(results.t) == 0)
+    assert len(twice)
+    frame, data = results.to_pandas(jumps=False), results.to_xarray(jumps=False)
+    expected = np.delete(np.asarray(results["step.y"]), twice)
+    assert frame.index.is_unique
+    assert np.array_equal(frame["step.y"], expected)
+    assert np.array_equal(data["step.y"], expected)
+    assert np.array_equal(data.time, np.unique(results.t))
+    t = [0.1, 0.95, 1.0, 1.9]
+    x = np.delete(np.asarray(results["G.x"]), twice, axis=0)
+    for k in (0, 1):
+        assert np.allclose(data["G.x"].interp(time=t)[:, k], np.interp(t, np.unique(results.t), x[:, k]))
+    assert data["step.y"].sel(time=1.0) == 1.0
+    assert len(results.to_pandas()) == len(results.t) == len(results.to_xarray().time)
+
+
+# --- hints -------------------------------------------------------------------------------------------------------
+
+t = np.linspace(0, 1, 5)
+GUESSES: list[tuple[Callable[[Any, Any, Any], object], str]] = [
+    (lambda d, r, s: d.run(stop_time=10), "Did you mean 'stop'?"),
+    (lambda d, r, s: d.run(t_final=10), "Did you mean 'stop'?"),
+    (lambda d, r, s: d.run(max_step=0.1), "Did you mean 'step'?"),
+    (lambda d, r, s: d.run(step_size=0.1), "Did you mean 'step'?"),
+    (lambda d, r, s: d.run(solver="rk4"), "Did you mean 'method'?"),
+    (lambda d, r, s: d.sweep({"G.A[1][1]": [1.0]}, stop=1), "Did you mean 'G.A[1,1]'?"),
+    (lambda d, r, s: d.linearize("r.y", "G.y"), "Did you mean 'r'?"),
+    (lambda d, r, s: d.add(P, "M"), 'the name comes first. Write add("M", ...).'),
+    (lambda d, r, s: StateObserver(P, np.ones((2, 1))), "Write StateObserver(A=..., B=..., C=..., D=..., L=..."),
+    (lambda d, r, s: margins(d), 'diagram.linearizer().loop("control.y")'),
+    (lambda d, r, s: bode(d.linearizer()), 'linearizer.loop("control.y")'),
+    (lambda d, r, s: r.time, "Write results.t."),
+    (lambda d, r, s: r["time"], "The times are results.t."),
+    (lambda d, r, s: r["t"], "The times are results.t."),
+    (lambda d, r, s: r["G.y", 0], 'One element is results["y[0]"]'),
+    (lambda d, r, s: r[0], "is not the name of a signal"),
+    (lambda d, r, s: r.to_dataframe(), "Write results.to_pandas()."),
+    (lambda d, r, s: r.keys(), "Write results.names."),
+    (lambda d, r, s: r.to_panda(), "Did you mean 'to_pandas'?"),
+    (lambda d, r, s: s["G.y"], 'sweep.signals["G.y"]'),
+    (lambda d, r, s: s["K.k"], 'sweep.varied["K.k"]'),
+    (lambda d, r, s: list(s), "Rows are in sweep.to_pandas() and sweep.single(i)"),
+    (lambda d, r, s: s.df, "Write sweep.to_pandas()."),
+    (lambda d, r, s: d.connect, "Write diagram.wire(sink, source)."),
+    (lambda d, r, s: d.simulate, "Write diagram.run(stop=10)."),
+    (lambda d, r, s: d.margins, 'margins(diagram.linearizer().loop("control.y"))'),
+    (lambda d, r, s: d.monte_carlo, "diagram.sweep("),
+    (lambda d, r, s: d.svg, "diagram.draw()"),
+    (lambda d, r, s: d["G.y"], 'Write diagram["G"].y.'),
+    (lambda d, r, s: d[0], "Blocks: e, K, G."),
+    (lambda d, r, s: d.run(stop=1, inputs={"r": t}), 'inputs={"r": (t, u)}'),
+    (lambda d, r, s: d.run(stop=1, inputs={"r": np.sin}), 'inputs={"r": (t, u)}'),
+    (lambda d, r, s: d.run(stop=1, inputs={"r": pandas.DataFrame({"r": t})}), 'inputs={"r": (t, u)}'),
+    (lambda d, r, s: d.run(stop=1, inputs=pandas.DataFrame({"r": t})), 'inputs={"r": (t, u)}'),
+    (lambda d, r, s: d.add("g", Gain(k=[2, 3])), '"copies": 2 (in Python add(..., copies=2))'),
+    (lambda d, r, s: d.add("g", Gain(k=np.ones((1, 2)))), "MatrixGain"),
+    (lambda d, r, s: Step(copies=2), 'add("x", Step(), copies=...)'),
+    (lambda d, r, s: d.sweep({"K.k": [1.0]}, stop=1, measures=["overshoot"]), 'measure("overshoot", "overshoot", of='),
+]
+
+
+@pytest.mark.parametrize(("guess", "cure"), GUESSES)
+def test_the_error_of_a_first_guess_says_what_to_write(
+    guess: Callable[[Any, Any, Any], object], cure: str, d: Diagram, results: Results, sweep: Sweep
+) -> None:
+    with pytest.raises((ValueError, AttributeError, KeyError, TypeError)) as refused:
+        guess(d, results, sweep)
+    error = refused.value
+    assert cure in (error.args[0] if isinstance(error, KeyError) else str(error))
+
+
+def test_hints_for_attributes_leave_private_names_and_copies_alone(d: Diagram, results: Results) -> None:
+    for thing in (d, results, Sweep):
+        assert not hasattr(thing, "__array__")
+        assert not hasattr(thing, "_repr_png_")
+    with pytest.raises(AttributeError, match=r"has no attribute '_hidden'$"):
+        results._hidden  # noqa: B018
+    assert list(copy.deepcopy(d)) == list(d)
+    assert np.array_equal(pickle.loads(pickle.dumps(results)).t, results.t)
+
+
+def test_a_switch_of_a_number_is_another_block(d: Diagram) -> None:
+    switch = d.add("switch", Switch())
+    d.wire(switch.control, "K.y")
+    with pytest.raises(ValueError, match="use SwitchAbove instead: its control is a number"):
+        d.check()
+
+
+def test_a_model_of_a_saturated_diagram_comes_with_a_warning() -> None:
+    d = Diagram("limited")
+    r = d.input("r")
+    limit, plant = d.add("limit", Saturation(lower=-1, upper=1)), d.add("plant", FirstOrder(k=3.0))
+    d.wire(limit.u, r)
+    d.wire(plant.u, limit.y)
+    with pytest.warns(RuntimeWarning, match=r"^W702 r -> plant.y: .* limit.y passes nothing on at its operating point"):
+        model = d.linearize(r, plant.y, inputs={"r": 2.0})
+    assert not model.D.any()
+    assert d.linearize(r, plant.y, inputs={"r": 0.5})(0) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "cure"),
+    [
+        (["run", "--stop-time", "2"], "Did you mean '--stop'?"),
+        (["run", "--measure", "top"], "The command computes all measures of the diagram."),
+        (["run", "--params", "k=2"], "Did you mean '--set'?"),
+        (["sweep", "--vary", "K.k=1,2"], "Give --stop T"),
+    ],
+)
+def test_the_command_line_knows_the_same_words(
+    words: list[str], cure: str, d: Diagram, tmp_path: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    d.save("d.json")
+    assert main([words[0], "d.json", *words[1:]]) == 2
+    assert cure in capsys.readouterr().err
