@@ -468,7 +468,7 @@ def test_a_library_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.M
         ("no_such_library", "cannot be imported: ModuleNotFoundError"),
         (["empty_library"], "contains no block class"),
         ("broken_library", "cannot be imported: ZeroDivisionError"),
-        ("my/library.py", "Use library."),
+        ("my/library.py", "Use library, with PYTHONPATH=my in the environment."),
         ([5], "contains no block class"),
         (int, "contains no block class"),
     ):
