@@ -21,7 +21,7 @@ CURES: dict[str, tuple[tuple[str, str], ...]] = {
     "E215": (("iterated", "gauss-seidel"),),
     "E217": ((" --isolate", ""),),
     "E218": (("loop.json", "loop.json --trust downloads/plant.fmu"),),
-    "W204": (('"wires"', '"run": {"loops": "solve"}, "wires"'),),
+    "W204": (('"run": {', '"run": {"loops": "solve", '),),
     "E303": (('"Sqrt"', '"Expression", "parameters": {"expression": "sqrt(max(u1, 0))"}'), ("speed.u", "speed.u1")),
     "E304": (('"off_at": 0', '"off_at": -0.1'),),
     "E305": (

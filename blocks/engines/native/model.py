@@ -229,6 +229,7 @@ def _declare(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> None:
         ("blocks_new", sim, [sim]),
         ("blocks_free", None, [sim]),
         ("blocks_reset", None, [sim]),
+        ("blocks_take_model", None, [sim]),
         ("blocks_start", c.c_int, [sim]),
         ("blocks_begin", c.c_int, [sim]),
         ("blocks_advance", c.c_int, [sim, c.c_double, c.c_int64, c.c_int32]),

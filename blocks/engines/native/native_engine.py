@@ -228,8 +228,11 @@ class NativeEngine:
 
     def take_code(self) -> ctypes.CDLL:
         """Return the code of the model, by which the run goes on."""
-        self._handle.setup.model = self.model.address
-        return self.model.library
+        library, setup = self.model.library, self._handle.setup
+        if setup.model != self.model.address:
+            setup.model = self.model.address
+            library.blocks_take_model(self.address)
+        return library
 
     def pause(self, every: float, at: float) -> None:
         self.sim.slice, self.sim.soft = every, at

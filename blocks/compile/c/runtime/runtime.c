@@ -3014,7 +3014,7 @@ restore:
 /* --- the run ---------------------------------------------------------------------------------------------------- */
 
 /* The model of the setup, which may be replaced in a run by one that computes the same bits faster. */
-static void take_model(BlocksSim *s)
+void blocks_take_model(BlocksSim *s)
 {
     s->model = s->setup->model;
     if (s->model->stiff && !isnan(s->stiff_from)) s->model = s->model->stiff;
@@ -3022,7 +3022,7 @@ static void take_model(BlocksSim *s)
 
 void blocks_rows(BlocksSim *s)
 {
-    take_model(s);
+    blocks_take_model(s);
     for (int r = 0; r < s->model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];
     s->model->prepare(&s->memory);
     s->model->refresh(&s->memory);
@@ -3274,7 +3274,6 @@ int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t exact)
 HOT int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
 {
     s->failure = BLOCKS_FINE;
-    take_model(s);
     look_at_clock(s);
     while (s->outstanding || (s->t < end && !blocks_has_ended(s))) {
         if (s->outstanding) {

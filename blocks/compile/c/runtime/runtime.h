@@ -399,6 +399,7 @@ BLOCKS_API void blocks_free(BlocksSim *s);
 BLOCKS_API void blocks_reset(BlocksSim *s);              /* as it was when it was new */
 BLOCKS_API int blocks_begin(BlocksSim *s);               /* start values; the instant at the start is outstanding */
 BLOCKS_API int blocks_start(BlocksSim *s);               /* the same, and that instant */
+BLOCKS_API void blocks_take_model(BlocksSim *s);         /* that of the setup, which may have been replaced meanwhile */
 BLOCKS_API int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact);
 BLOCKS_INLINE int blocks_has_ended(const BlocksSim *s) { return s->setup->ends >= 0 && s->memory.s[s->setup->ends] != 0.0; }
 BLOCKS_API int blocks_settle(BlocksSim *s);              /* the instant that is outstanding, if any */
