@@ -17,7 +17,10 @@ from typing import Any
 
 from . import diagrams
 
-__all__ = ["main", "main_memory", "worker"]
+__all__ = ["change_worker", "main", "main_memory", "worker"]
+
+CHANGED = {"P1": (0.2, 100.0), "robot": (0.25, 100.0), "600": (0.3, 0.1), "6000": (1.5, 0.1)}
+"""Diagrams, with the goal in s of the first run after a change of their structure, and the stop time in s."""
 
 
 def worker(path: str, signal: str, stop: str) -> None:
@@ -47,6 +50,46 @@ def worker(path: str, signal: str, stop: str) -> None:
         "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024),
     }
     print(json.dumps(told))
+
+
+def change_worker(name: str, quickly: str) -> None:
+    """Run a diagram, add a block to it and run it again; prints what the second run took. In a process of its own."""
+    from blocks import Gain, Step
+    from blocks.engines.native import code
+
+    code.QUICKLY = quickly == "True"
+    with tempfile.TemporaryDirectory() as folder:
+        if name in ("P1", "robot"):
+            diagram = diagrams.p1() if name == "P1" else diagrams.robot()
+        else:
+            diagram = diagrams.Diagram.load(diagrams.save_p2(int(name) // 6, Path(folder)))
+        stop = CHANGED[name][1]
+        diagram.run(stop=stop, engine="native")
+        added = diagram.add("added", Gain(k=2.0))
+        diagram.wire(added.u, diagram.add("step", Step(at=0.0, after=1.0)).y)
+        begun = time.perf_counter()
+        diagram.run(stop=stop, engine="native")
+        print(time.perf_counter() - begun)
+
+
+def _show_changes(repeats: int) -> None:
+    """The first run after a change, beside the same with optimised code from the start, in turn."""
+    code = "import sys; from benchmarks.start import change_worker; change_worker(*sys.argv[1:])"
+    for name, (goal, _) in CHANGED.items():
+        seconds: dict[bool, list[float]] = {True: [], False: []}
+        for _ in range(repeats):
+            for quickly, known in seconds.items():
+                with tempfile.TemporaryDirectory() as cache:
+                    done = subprocess.run(
+                        [sys.executable, "-c", code, name, str(quickly)],
+                        cwd=diagrams.ROOT, env={**os.environ, "BLOCKS_CACHE_DIR": cache},
+                        capture_output=True, text=True, check=True,
+                    )  # fmt: skip
+                    known.append(float(done.stdout.splitlines()[-1]))
+        first, beside = statistics.median(seconds[True]), statistics.median(seconds[False])
+        verdict = "met" if first <= goal else "MISSED"
+        label = f"{name}, first run after a change"
+        print(f"{label:38}{first:9.3f} s  optimised {beside:.3f} s  goal {goal:g} s {verdict}", flush=True)
 
 
 def _measured(path: Path, signal: str, stop: float, cache: Path) -> dict[str, Any]:
@@ -82,6 +125,7 @@ def _show(label: str, made: list[dict[str, Any]], goal: float, *, beyond: bool) 
 
 
 def main() -> None:
+    _show_changes(5)
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
         diagrams.p1().save(folder / "p1.json")
