@@ -38,6 +38,7 @@ from blocks.compile.toolchain.platforms import (
     this_platform,
     universal,
 )
+from blocks.engines.native import code
 from blocks.engines.native import model as native_model
 from blocks.text.errors import CompilerError, UsageError
 from tests.support.places import ROOT
@@ -114,9 +115,10 @@ def texts_of_a_diagram(monkeypatch: pytest.MonkeyPatch, path: Path = DIAGRAM) ->
         return build(units, **options)
 
     monkeypatch.setattr(native_model, "_MODELS", {})
-    monkeypatch.setattr(native_model, "build", watched)
+    monkeypatch.setattr(code, "QUICKLY", False)
+    monkeypatch.setattr(code, "build", watched)
     blocks.Diagram.load(path).run(engine="native", stop=0.05)
-    monkeypatch.setattr(native_model, "build", build)
+    monkeypatch.setattr(code, "build", build)
     return seen[0]
 
 
@@ -424,7 +426,8 @@ def test_a_run_of_zig_s_code_is_one_of_the_native_engine_to_the_last_bit(
 ) -> None:
     def run(make: Any) -> Mapping[str, Any]:
         monkeypatch.setattr(native_model, "_MODELS", {})
-        monkeypatch.setattr(native_model, "build", make)
+        monkeypatch.setattr(code, "QUICKLY", False)
+        monkeypatch.setattr(code, "build", make)
         results = blocks.Diagram.load(ROOT / "diagrams" / path).run(engine="native", stop=2.0)
         return {"t": results.t, **{name: results[name] for name in results}}
 
