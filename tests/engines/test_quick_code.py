@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -138,13 +139,15 @@ def test_a_run_that_is_found_to_be_stiff_goes_on_as_such(fresh: Path, monkeypatc
     assert bits(results) == bits(parts())
 
 
-def test_rows_of_a_batch_and_prepared_models_run_by_optimised_code(fresh: Path) -> None:
+def test_a_prepared_model_runs_by_optimised_code(fresh: Path) -> None:
     diagram = Diagram.from_json(LOOP)
     diagram.run(engine="native", stop=0.1)
     model = only_model()
     assert not model.code.is_optimised
-    diagram.prepare(engine="native").run(stop=0.1)
+    before = model.setup.model  # type: ignore[attr-defined]
+    diagram.prepare(engine="native")
     assert model.code.is_optimised
+    assert model.setup.model == model.address != before  # type: ignore[attr-defined]
 
 
 def test_a_compiler_that_fails_later_leaves_the_run_as_it_is(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,6 +165,44 @@ def test_a_compiler_that_fails_later_leaves_the_run_as_it_is(fresh: Path, monkey
         run.advance_to(stop)
     assert not only_model().code.is_optimised
     assert bits(run.finish()) == expected
+
+
+def test_a_cache_that_is_emptied_before_the_code_is_taken_leaves_the_run_as_it_is(
+    fresh: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(code, "PATIENCE", 0.0)
+    diagram = Diagram.from_json(LOOP)
+    run = diagram.start(engine="native")
+    run.advance_to(0.7)
+    model = only_model()
+    assert model.code._optimising is not None
+    model.code._optimising._thread.join()
+    shutil.rmtree(fresh)
+    run.advance_to(1.1)
+    assert not model.code.is_optimised
+    run.advance_to(3.0)
+    results = bits(run.finish())
+    assert results == one_run(diagram, monkeypatch, quickly=False)
+
+
+def test_a_fork_compiles_for_itself(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(code, "PATIENCE", 0.0)
+    run = Diagram.from_json(LOOP).start(engine="native")
+    run.advance_to(0.1)
+    kept = only_model().code
+    first = kept._optimising
+    assert first is not None
+    first._thread.join()
+    first.process, first.path = -1, None  # as in a child, where the thread of its parent does not exist
+    run.advance_to(0.2)
+    assert kept._optimising is not first
+
+
+def test_a_compiler_with_arguments_of_its_own_optimises_at_once(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With -ffast-math, for example, both codes would differ in their bits."""
+    monkeypatch.setenv("CC", "cc -DUNUSED=1")
+    Diagram.from_json(LOOP).run(engine="native")
+    assert only_model().code.is_optimised
 
 
 def test_a_process_that_ends_leaves_the_optimised_code(fresh: Path, tmp_path: Path) -> None:

@@ -113,13 +113,12 @@ def _plain(value: object) -> Any:
 
 @functools.cache
 def _own_digest() -> str:
-    """Of the Python files that emit."""
+    """Of the Python files that emit, or that these import."""
     digest = hashlib.sha256()
-    here = Path(__file__).parent
-    names = ("folding", "jacobian", "motion", "plan", "plan_builder", "scheduler", "tearing", "tick_stages")
-    others = (here.parent / f"{name}.py" for name in names)
-    for path in (*sorted(here.glob("*.py")), *others):
-        digest.update(path.read_bytes())
+    compile_room = Path(__file__).parent.parent
+    for room in (Path(__file__).parent, compile_room, compile_room.parent / "contract"):
+        for path in sorted(room.glob("*.py")):
+            digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

@@ -273,10 +273,12 @@ def build(
 
 def build_quickly(units: Sequence[TranslationUnit], *, extra_flags: Sequence[str] = ()) -> tuple[Path, bool]:
     """The library that `build` makes, and True, if it is in the cache or the compiler has no quicker way. Else one that
-    computes the same bits, compiled in a quarter of the time or less and slower to run, and False. Raises as `build`.
+    computes the same bits, compiled in a fraction of the time and slower to run, and False. Raises as `build`.
     """
     job = _job(units, extra_flags, None)
-    library = None if is_gcc(job.compiler) else job.run_in(None)
+    # With arguments in $CC, such as -ffast-math, optimisation may change bits.
+    has_quick = is_gcc(job.compiler) and len(job.compiler.command) == 1
+    library = None if has_quick else job.run_in(None)
     library = library or caches.of_user().find(job.library_key())
     return (library, True) if library is not None else (replace(job, is_quick=True).run_in(None), False)
 

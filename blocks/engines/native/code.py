@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
+import os
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -62,10 +63,14 @@ class Code:
         if self.is_optimised:
             return
         self._slow_seconds += seconds
-        if self._optimising is None and self._slow_seconds >= PATIENCE:
-            self._optimising = Optimising(self._built)
-        elif self._optimising is not None and self._optimising.path is not None:
-            self._take(self._optimising.path)
+        if self._optimising is None or self._optimising.process != os.getpid():  # a fork has no such thread
+            if self._slow_seconds >= PATIENCE:
+                self._optimising = Optimising(self._built)
+        elif self._optimising.path is not None:
+            try:
+                self._take(self._optimising.path)
+            except CompilerError:  # the cache was emptied meanwhile
+                self._optimising, self._slow_seconds = None, 0.0
 
 
 class Optimising:
@@ -73,6 +78,7 @@ class Optimising:
 
     def __init__(self, built: Callable[[], Path]) -> None:
         self.path: Path | None = None
+        self.process = os.getpid()
         self._thread = threading.Thread(target=self._compile, args=(built,), name="blocks-compiler", daemon=True)
         self._thread.start()
         atexit.register(self._wait)

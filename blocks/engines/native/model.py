@@ -128,6 +128,8 @@ class Model(RuntimeTables):
         if self._filled:
             ctypes.memmove(library["blocks_filled"], self._filled, len(self._filled))
         self.address = ctypes.cast(library["blocks_model"], ctypes.c_void_p).value
+        self._of_settings = None  # they name the model
+        vars(self).pop("setup", None)
 
     @property
     def library(self) -> ctypes.CDLL:
