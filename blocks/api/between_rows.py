@@ -21,8 +21,8 @@ from ..results.results import Results
 from ..text.errors import BlocksError
 from .case import Case
 
-MOST_WORK = 3_000_000
-"""Steps times what moves in each, of a run that a figure repeats: a few seconds of the slower engine."""
+MOST_WORK = {"native": 3_000_000, "reference": 200_000}
+"""Steps times what moves in each, of a run that a figure repeats: some seconds of an engine."""
 MOST_ROWS = 50_000
 Start = Callable[[Case, Iterable[Prepared]], Results]
 
@@ -50,7 +50,7 @@ class BetweenRows:
         if self._start is None or results.interrupted or results.rows < 2:
             return None
         steps, (first, ended) = results.statistics.steps, results.span
-        if steps * (10 + self._moving) > MOST_WORK:
+        if steps * (10 + self._moving) > MOST_WORK[results.statistics.engine]:
             return None
         # Three digits: the native engine counts in fractions of 62 bits.
         distance = Fraction(f"{max(every, (ended - first) / MOST_ROWS):.3g}")

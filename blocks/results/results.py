@@ -262,7 +262,9 @@ class Results(Guided, Shown):
         """
         if self.between is None or self.stored is not None:
             return self
-        first, last = window or self.span
+        first, last = np.clip(window or self.span, *self.span).tolist()
+        if not first < last:
+            return self
         fine = self.between.finer(self, (last - first) / SMOOTH)
         if fine is None:
             return self

@@ -140,7 +140,9 @@ def _place(workspace: Workspace, first: str, target: str, variants: Mapping[str,
 def _owner(workspace: Workspace, first: str, parts: list[str], variants: Mapping[str, str]) -> tuple[list[str], str]:
     """The blocks around a parameter, and its name, which may have dots and brackets if the block is an FMU."""
     for k, name in enumerate(parts[:-1]):
-        entry = _spot(workspace, first, parts[:k], variants).body.names("block").get(name, {})
+        entry = _spot(workspace, first, parts[:k], variants).body.names("block").get(name)
+        if entry is None:  # such as a single copy
+            break
         choice = _choice(".".join(parts[: k + 1]), entry, variants)
         if "fmu" in (entry if choice == BASE else tree.table_at(entry, ("variants", choice))):
             return parts[: k + 1], ".".join(parts[k + 1 :])

@@ -111,6 +111,8 @@ class Guided:
     if not TYPE_CHECKING:  # a type checker would take any attribute for a known one
 
         def __getattr__(self, name: str) -> object:
+            if hasattr(type(self), name):  # a property that raised AttributeError, which says what is wrong
+                return object.__getattribute__(self, name)
             kind = type(self).__name__
             error = f"'{kind}' object has no attribute '{name}'"
             if name.startswith("_"):

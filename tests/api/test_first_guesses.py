@@ -233,3 +233,13 @@ def test_the_command_line_knows_the_same_words(
     d.save("d.json")
     assert main([words[0], "d.json", *words[1:]]) == 2
     assert cure in capsys.readouterr().err
+
+
+def test_a_property_that_fails_says_why() -> None:
+    class Own(Diagram):
+        @property
+        def wrong(self) -> object:
+            return None.missing  # type: ignore[attr-defined]
+
+    with pytest.raises(AttributeError, match="'NoneType' object has no attribute 'missing'"):
+        _ = Own("x").wrong

@@ -374,7 +374,8 @@ def test_an_fmu_alone_is_a_diagram_with_its_ports(tmp_path: Path) -> None:
 
 def test_blocks_fmu_run_runs_that_diagram_as_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[tuple[Any, Diagram]] = []
-    monkeypatch.setattr("blocks.cli.fmu.run_diagram", lambda options, made: seen.append((options, made())) or 0)
+    kept = "blocks.cli.fmu.run_diagram"
+    monkeypatch.setattr(kept, lambda options, made, **_: seen.append((options, made())) or 0)
     words = ["--kind", "cs", "--isolate", "--stop", "2", "--set", "Ra=0.2", "--set", "PMDCMotor.La=1", "--input", "v=6"]
     assert main(["fmu", "run", str(MOTOR), *words, "-o", "x.csv", "--master", "step=0.01"]) == 0
     options, diagram = seen[0]

@@ -383,6 +383,7 @@ def test_a_figure_follows_the_solver_between_the_rows(engine: str) -> None:
     assert np.array_equal(smooth.t[rows], made.t)
     assert np.array_equal(smooth.values[rows], made.values)
     assert made.smooth((0.0, 0.1)).rows > smooth.rows
+    assert np.array_equal(made.smooth((-np.inf, np.inf)).t, smooth.t)
 
 
 def test_results_whose_run_is_not_repeated_have_their_own_rows(tmp_path: Path) -> None:
