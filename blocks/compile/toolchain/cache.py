@@ -182,7 +182,7 @@ class Cache:
         for path in self._children(WORK):
             with contextlib.suppress(OSError):
                 if time.time() - os.lstat(path).st_mtime > STALE:
-                    shutil.rmtree(path, ignore_errors=True)
+                    _remove(path)
 
     def _children(self, pattern: re.Pattern[str]) -> list[Path]:
         try:

@@ -283,6 +283,11 @@ def build_quickly(units: Sequence[TranslationUnit], *, extra_flags: Sequence[str
     return (library, True) if library is not None else (replace(job, is_quick=True).run_in(None), False)
 
 
+def key_of(units: Sequence[TranslationUnit], extra_flags: Sequence[str]) -> str:
+    """The key of the library that `build` makes, in the cache. Raises as `build`."""
+    return _job(units, extra_flags, None).library_key()
+
+
 def _job(units: Sequence[TranslationUnit], extra_flags: Sequence[str], compiler: Compiler | None) -> _Job:
     compiler = compiler or find_compiler()
     if compiler is None:
@@ -441,7 +446,6 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path, limit: float | N
     limit = LIMIT if limit is None else limit
     end = time.monotonic() + limit
     running: dict[str, subprocess.Popen[bytes]] = {}
-    _running.append(running)
     try:
         with contextlib.ExitStack() as stack:
             for output, command in commands.items():
@@ -463,9 +467,6 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path, limit: float | N
     finally:
         for process in running.values():
             _stop(process)
-        _running.remove(running)
-    if _is_ending.is_set():
-        raise CompilerError(Fault("E602", "", "the process ended while the compiler ran.", "Run it again."))
     said = []
     for output, process in running.items():
         if process.returncode or not (work / output).is_file():
@@ -474,17 +475,6 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path, limit: float | N
             said.append(text or f"it ended with status {process.returncode}, created no {output} and printed nothing")
     if said:
         raise _Refusal(_bounded("\n".join(said), SHOWN))
-
-
-_running: list[dict[str, subprocess.Popen[bytes]]] = []
-_is_ending = threading.Event()
-
-
-def end_builds() -> None:
-    """Stop the compilers that threads wait for, as this process ends: there `build` raises CompilerError (E602)."""
-    _is_ending.set()
-    for process in [process for running in [*_running] for process in [*running.values()]]:
-        _stop(process)
 
 
 def _stop(process: subprocess.Popen[Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import ctypes
 import os
@@ -10,13 +9,13 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ...compile.toolchain.compiler import TranslationUnit, build, build_quickly, end_builds, load
+from ...compile.toolchain import apart
+from ...compile.toolchain.compiler import TranslationUnit, build, build_quickly, load
 from ...text.errors import CompilerError
 
 QUICKLY = True  # whether runs may begin by code without optimisation; benchmarks of steps say no
 PATIENCE = 0.05
 """s; what has run so long without optimisation is worth a compiler's time."""
-MOST_AT_END = 3.0  # s that a process waits at its end for a compiler
 
 
 class Code:
@@ -65,7 +64,7 @@ class Code:
         self._slow_seconds += seconds
         if self._optimising is None or self._optimising.process != os.getpid():  # a fork has no such thread
             if self._slow_seconds >= PATIENCE:
-                self._optimising = Optimising(self._built)
+                self._optimising = Optimising(self._units, self._extra_flags)
         elif self._optimising.path is not None:
             try:
                 self._take(self._optimising.path)
@@ -74,26 +73,19 @@ class Code:
 
 
 class Optimising:
-    """A thread that compiles. path: of the library, once it is there; a compiler that fails leaves the slower code."""
+    """A thread that waits for a compiler. path: of the library, once it is there.
 
-    def __init__(self, built: Callable[[], Path]) -> None:
+    A compiler that fails leaves the slower code. Where this process ends first, the compiler goes on, so that the next
+    one finds its code.
+    """
+
+    def __init__(self, units: Sequence[TranslationUnit], extra_flags: Sequence[str]) -> None:
         self.path: Path | None = None
         self.process = os.getpid()
-        self._thread = threading.Thread(target=self._compile, args=(built,), name="blocks-compiler", daemon=True)
+        self._thread = threading.Thread(target=self._compile, args=(units, extra_flags), daemon=True)
         self._thread.start()
-        atexit.register(self._wait)
 
-    def _compile(self, built: Callable[[], Path]) -> None:
-        try:
-            with contextlib.suppress(CompilerError):
-                self.path = built()
-        finally:
-            atexit.unregister(self._wait)
-
-    def _wait(self) -> None:
-        """Let the compiler finish before this process ends, so that the next one finds its code."""
-        with contextlib.suppress(KeyboardInterrupt):
-            self._thread.join(MOST_AT_END)
-        if self._thread.is_alive():
-            end_builds()
-            self._thread.join(1.0)
+    def _compile(self, units: Sequence[TranslationUnit], extra_flags: Sequence[str]) -> None:
+        with contextlib.suppress(CompilerError, OSError):
+            if not apart.is_possible() or apart.built_apart(units, extra_flags):
+                self.path = build(units, extra_flags=extra_flags)
