@@ -159,7 +159,8 @@ class Batch(Shown):
         varied = dict(zip(self.columns, self.targets, strict=True))
         whole = replace(whole, measures={**whole.measures, **kept.measures})
         unread = unread_faults(whole, varied, parameters, settings)
-        self.lanes, self.warnings = self._lanes.told, (*unread, *self._lanes.warnings)
+        steps = (fault for fault in first.plan.warnings if fault.code == "W211")  # of all rows alike
+        self.lanes, self.warnings = self._lanes.told, (*steps, *unread, *self._lanes.warnings)
         numbers = len(first.plan.parameters) if isinstance(first.plan, Plan) else 0
         self._most = PIECE // (8 * max(1, numbers)) + 1  # rows that are bound at once
         self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last

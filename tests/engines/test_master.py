@@ -372,8 +372,11 @@ def test_a_step_that_follows_from_the_times_of_the_run_is_reported(engine: str) 
     assert given.warnings == ()
     assert given[end][-1] == coarse[end][-1] != fine[end][-1]
     assert [w.code for w in made.run(stop=10, engine=engine, master=own).warnings] == ["W211"]
+    rows = {"a.x_start": [1.0, 2.0]}
+    assert [w.code for w in made.sweep(rows, stop=1, engine=engine, master=own).warnings] == ["W211"]
     for words in ({"tolerance": 1e-4}, {"steps": {"a": 0.02, "b": 0.02}}):
         assert made.run(stop=1, engine=engine, master={**own, **words}).warnings == ()
+        assert made.sweep(rows, stop=1, engine=engine, master={**own, **words}).warnings == ()
 
 
 def test_a_step_over_which_nothing_is_extrapolated_is_not_reported() -> None:
