@@ -85,7 +85,9 @@ class Handle:
         raise UnknownPort(f"{fault} Inputs: {listed(self._inputs)}. Outputs: {listed(self._outputs)}.")
 
     def __setattr__(self, port: str, value: object) -> None:
-        raise UnknownPort(f"a port is wired by diagram.wire({self._name}.{port}, source), not assigned.")
+        if port in self._inputs or port in self._outputs:
+            raise UnknownPort(f"a port is wired by diagram.wire({self._name}.{port}, source), not assigned.")
+        raise UnknownPort(f'a parameter is set by diagram.set("{self._name}.{port}", value), not assigned.')
 
     def __reduce__(self) -> Any:
         return Handle, (self._diagram, self._name, self._inputs, self._outputs)

@@ -108,7 +108,7 @@ NO_OTHER = "Only limits such as those of Saturation may be infinite."
     [
         (lambda: pair()["g"].yy, AttributeError, ["E105 g:", "no port \"yy\"", "Did you mean 'y'?", "Inputs: u."]),
         (lambda: setattr(pair()["g"], "u", 1.0), AttributeError, ["diagram.wire(g.u, source), not assigned"]),
-        (lambda: setattr(pair()["g"], "k", 1.0), AttributeError, ["not assigned"]),
+        (lambda: setattr(pair()["g"], "k", 1.0), AttributeError, ["diagram.set(\"g.k\", value), not assigned"]),
         (lambda: pair()["gg"], KeyError, ["no block 'gg'", "Did you mean 'g'?"]),
         (lambda: Gain(K=1.0), BlocksError, ["E106 Gain.K:", "no such parameter", "Did you mean 'k'?"]),
         (lambda: Gain(bandwidth=1.0), BlocksError, ["E106 Gain.bandwidth:", "Parameters: unit, unit_u, k."]),
