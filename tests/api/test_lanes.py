@@ -40,8 +40,8 @@ from blocks import (
     local,
 )
 from blocks.api.batch import BatchRows
+from blocks.compile.c import lane_code
 from blocks.compile.c.lane_code import Machine
-from blocks.engines.native import model
 from blocks.model.diagram_grammar import MEASURES
 from tests.api.test_batch import Doomed, same, square
 from tests.engines.test_native import sanitized
@@ -463,7 +463,7 @@ def test_random_diagrams_in_lanes(wiring: Wiring, method: str) -> None:
         diagram.measure(f"top_{name}", "peak", of=f"{name}.y")
     given: dict[str, Any] = {"stop": 1.5, "every": 0.07, "log": log, "method": method}
     given |= {"rtol": 1e-9, "atol": 1e-11} if method == "dopri5" else {"step": 0.02}
-    with mock.patch.object(model, "why_no_gain", return_value=""):
+    with mock.patch.object(lane_code, "why_no_gain", return_value=""):
         exact, fast = (diagram.batch(names, lanes=lanes, **given) for lanes in ("exact", "fast"))
         assume(fast.lanes)
         table = np.array(exact.nominal) * (1 + 0.01 * np.arange(11)[:, None])
