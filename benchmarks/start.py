@@ -79,7 +79,8 @@ def _show_changes(repeats: int) -> None:
         seconds: dict[bool, list[float]] = {True: [], False: []}
         for _ in range(repeats):
             for quickly, known in seconds.items():
-                with tempfile.TemporaryDirectory() as cache:
+                # The optimised code may still be compiled there.
+                with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as cache:
                     done = subprocess.run(
                         [sys.executable, "-c", code, name, str(quickly)],
                         cwd=diagrams.ROOT, env={**os.environ, "BLOCKS_CACHE_DIR": cache},
@@ -110,7 +111,7 @@ def _measured(path: Path, signal: str, stop: float, cache: Path) -> dict[str, An
 def _cold_and_warm(path: Path, signal: str, stop: float, repeats: int) -> dict[str, list[dict[str, Any]]]:
     made: dict[str, list[dict[str, Any]]] = {"cold": [], "warm": []}
     for _ in range(repeats):
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             cache = Path(folder) / "cache"
             for name in ("cold", "warm"):
                 made[name].append(_measured(path, signal, stop, cache))
