@@ -28,7 +28,7 @@ Start = Callable[[Case, Iterable[Prepared]], Results]
 
 
 class BetweenRows:
-    """What `Results.between` asks. It keeps neither the run nor its model.
+    """The answers to `Results.between`. They keep neither the run nor its model alive.
 
     start: runs a case of the same diagram, like what was prepared; None: nothing repeats the run.
     """

@@ -34,7 +34,7 @@ def unread_faults(
 
 
 class _Reader:
-    """What is read in diagrams, each of which is looked into once.
+    """The names that diagrams read. It searches each diagram once.
 
     outside: the names that values from outside read, in whichever diagram.
     """

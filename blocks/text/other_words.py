@@ -75,7 +75,7 @@ _SYSTEMS: Mapping[str, str] = {
     "Diagram": f"Take a linear model of it: {_LOOP}, or diagram.linearize(u, y).",
     "Linearizer": 'Name the signals: linearizer.loop("control.y"), or linearizer.model(u, y).',
 }
-"""What a linear system is made of, by its class."""
+"""How to get a linear system from an object that is none, by its class."""
 
 
 def argument_meant(word: str, known: Collection[str]) -> str:

@@ -1,4 +1,4 @@
-"""What users of other tools type first: it works, or the error says what to write."""
+"""Users of other tools type these words first: each works, or its error says what to write."""
 
 from __future__ import annotations
 

@@ -110,8 +110,8 @@ def test_a_delay_of_a_prepared_model_is_that_of_a_fresh_run(
     with monkeypatch.context() as patch:
         patch.setattr("blocks.engines.prepared.flatten", None)
         ours = [model.run(parameters=given) for given in others]
-    for one, anew in zip(ours, fresh, strict=True):
-        same(one, anew)
+    for one, other in zip(ours, fresh, strict=True):
+        same(one, other)
     run = diagram.copy().start(parameters=others[0], engine=engine)
     run.advance_to(1.0)
     run.save(tmp_path / "half.state")

@@ -606,8 +606,8 @@ def kept(name: str, fmi: int) -> Fmu:
 def test_a_delay_is_set_before_the_start(fmi: int) -> None:
     """It gives the bits of an FMU that is exported with it."""
     given = {"late.delay": 0.17, "back.delay": 0.45, "back.y_before": 2.0}
-    anew = exported(delayed(), fmi=fmi, parameters=given)
-    with kept("delayed", fmi).instance() as one, anew.instance() as other:
+    fresh = exported(delayed(), fmi=fmi, parameters=given)
+    with kept("delayed", fmi).instance() as one, fresh.instance() as other:
         assert "is out of its range, which is [1e-15, inf)" in one.refuses("late.delay", 1e-16)
         for name, value in given.items():
             one.set(name, value)

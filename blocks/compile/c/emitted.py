@@ -1,4 +1,4 @@
-"""What is emitted for a model; which rates tick together, and what is computed together at their ticks."""
+"""The emitted code of a model, and the rates that tick together with the stages of their ticks."""
 
 from __future__ import annotations
 

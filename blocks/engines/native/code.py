@@ -21,8 +21,8 @@ PATIENCE = 0.05
 class Code:
     """The library of some units. prepare: called with each library that is loaded, before it is used.
 
-    is_quick: it may begin with code that is compiled in a quarter of the time, and computes the same bits, unless the
-    cache has the optimised one. Raises CompilerError (E60x).
+    is_quick: it may begin with code that is compiled in a quarter to a half of the time, and computes the same bits,
+    unless the cache has the optimised one. Raises CompilerError (E60x).
     """
 
     library: ctypes.CDLL

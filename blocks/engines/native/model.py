@@ -74,8 +74,8 @@ def model_of(
 
 class Model(RuntimeTables):
     """The compiled model of a Plan. lanes: the machine whose lanes run several at once; None: there are none.
-    why_no_lanes: they were asked for, and would bring nothing. is_quick: it begins with code that is compiled in a
-    quarter of the time, and computes the same bits, unless the cache has the optimised one."""
+    why_no_lanes: they were asked for, and would bring nothing. is_quick: it may begin with quickly compiled code, as
+    `Code` says."""
 
     def __init__(
         self,
