@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -119,7 +120,7 @@ class Batch(Shown):
             settings["jumps"] = False
         value, whole = taken(value, case.variants), value
         kept = picked(value, case.measures)
-        resolver = resolver_of(dict(types))
+        resolver = resolver_of(copy(types))
         of_all = case.parameters
         parameters = {**given_values(kept, resolver, of_all)}
         first = Prepared.of(kept, resolver, parameters, settings, trust=case.trust)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -204,7 +205,7 @@ def _check(
     texts = {os.path.realpath(name): text for name, text in edit.texts.items()}
     real = os.path.realpath(path)
     old = Path(real).read_bytes() if text is None else text
-    resolver = resolver_of(dict(diagram._draft.types))
+    resolver = resolver_of(copy(diagram._draft.types))
 
     def read(texts: Mapping[str, str]) -> Flat:
         source = texts.get(real) or old

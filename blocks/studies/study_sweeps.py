@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -100,7 +101,7 @@ class ManyRuns:
 def flattened(diagram: Diagram, case: Case) -> Flat:
     """Return the flat model of a case of a study file, whose inputs are checked too. Raises ModelError, UsageError."""
     inputs = case.named_inputs() or None
-    return flat_of(diagram.value, resolver_of(dict(diagram.types)), case, inputs=inputs)
+    return flat_of(diagram.value, resolver_of(copy(diagram.types)), case, inputs=inputs)
 
 
 def section_of(word: str, entry: object, *sections: str) -> Steps:
