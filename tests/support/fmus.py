@@ -15,6 +15,7 @@ import ctypes
 import functools
 import math
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,6 +41,8 @@ FILES = sorted(
 """Every diagram of the repository that can be exported, as "paper/robot"."""
 
 _REAL, _WHOLE = ("Real", "Float64"), ("Integer", "Int64", "Enumeration")
+_LOADING = threading.Lock()
+"""FMPy changes the working folder of the process while it loads a library."""
 _logged: dict[int, list[tuple[int, str, str]]] = {}  # FMPy has one logger of FMI 2 for all instances
 
 
@@ -144,10 +147,11 @@ class Instance:
             ("CS", 2): fmi2.FMU2Slave, ("ME", 2): fmi2.FMU2Model, ("CS", 3): fmi3.FMU3Slave, ("ME", 3): fmi3.FMU3Model,
         }  # fmt: skip
         of = fmu.description.coSimulation if kind == "CS" else fmu.description.modelExchange
-        self.raw = types[kind, fmu.fmi](
-            guid=fmu.description.guid if token is None else token, unzipDirectory=str(fmu.folder),
-            modelIdentifier=of.modelIdentifier, instanceName=name,
-        )  # fmt: skip
+        with _LOADING:
+            self.raw = types[kind, fmu.fmi](
+                guid=fmu.description.guid if token is None else token, unzipDirectory=str(fmu.folder),
+                modelIdentifier=of.modelIdentifier, instanceName=name,
+            )  # fmt: skip
         if fmu.fmi == 2:
             callbacks = fmi2.fmi2CallbackFunctions()
             callbacks.logger = _LOGGER
