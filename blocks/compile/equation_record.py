@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,7 @@ class Equations:
 
     def __init__(self, flat: Flat, prepared: Plan | Coupling, family: object = None) -> None:
         """family: all of the same family have the same equations, and may differ in the values of parameters."""
-        recorder = _Recorder(flat, _tapes(prepared))
+        recorder = _Recorder(flat, prepared)
         if not isinstance(prepared, Plan) or prepared.folded is None:  # else it has no FMUs and no programs
             recorder.read_files()
         self._set(None, recorder.record, family)
@@ -114,12 +115,6 @@ class Equations:
         return str(self.record["values"])
 
 
-def _tapes(prepared: Plan | Coupling) -> dict[str, Tape]:
-    """The tapes of blocks by their paths."""
-    plans = [unit.plan for unit in prepared.units] if isinstance(prepared, Coupling) else [prepared]
-    return {instance.path: instance.tape for known in plans if known is not None for instance in known.instances}
-
-
 def _file(path: Any) -> str:
     from ..fmi.archive import sha256_of
 
@@ -143,14 +138,28 @@ def named_numbers(flat: Flat) -> Iterator[tuple[str, Numbers]]:
 class _Recorder:
     """Builds a record; what blocks share is made once."""
 
-    def __init__(self, flat: Flat, tapes: Mapping[str, Tape]) -> None:
-        self.flat, self.blocks, self.tapes = flat, flat.blocks, tapes
+    def __init__(self, flat: Flat, prepared: Plan | Coupling) -> None:
+        self.flat, self.blocks, self.prepared = flat, flat.blocks, prepared
         self.files: dict[str, str] = {}  # the SHA-256 of the FMU of a block, by path
         self.types: dict[object, tuple[str, str, str]] = {}
         self.numbers: dict[int, tuple[list[str], str]] = {}  # by the id of Resolved
         self.outputs: dict[int, dict[tuple[str, int], str]] = {}  # by the id of an interface
         inputs = flat.inputs
         self.ends = [f"{i.name}[{e}]" if i.shape else i.name for i in inputs for e in range(math.prod(i.shape))]
+
+    @cached_property
+    def tapes(self) -> Mapping[str, Tape]:
+        """The tapes of blocks by their paths; those of copies without their plans, which would be written out."""
+        plans = [unit.plan for unit in self.prepared.units] if isinstance(self.prepared, Coupling) else [self.prepared]
+        tapes: dict[str, Tape] = {}
+        for plan in filter(None, plans):
+            folded = plan.folded
+            if folded is None:
+                tapes |= {instance.path: instance.tape for instance in plan.instances}
+                continue
+            for k, instance in enumerate(folded.plan.instances):
+                tapes |= {folded.path(k, lane): instance.tape for lane in range(folded.copies(k))}
+        return tapes
 
     def read_files(self) -> None:
         """Read FMUs and the source of programs now, while they are what was loaded."""

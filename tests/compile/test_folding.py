@@ -11,6 +11,7 @@ import pytest
 from blocks import Diagram
 from blocks.compile.c.emit_cache import plan_key
 from blocks.compile.c.model_code import emit
+from blocks.compile.equation_record import Equations
 from blocks.compile.jacobian import PlanJacobian
 from blocks.compile.plan import Plan
 from blocks.engines.reference.python_code import CompiledPrograms
@@ -66,6 +67,18 @@ def test_the_plan_is_that_of_the_diagram_written_out(given: dict[str, Any]) -> N
         assert plan.signals[name].references == whole.signals[name].references
         for reference in plan.signals[name].references:
             assert plan.folded.of_whole(plan.folded.of_one(reference)) == reference
+
+
+def test_a_run_that_keeps_nothing_makes_nothing_of_each_copy() -> None:
+    """The record of the equations, which a saved state holds, is made of the plan of one copy, and is the same."""
+    diagram = fleet(3, a="=1+index")
+    run = diagram.start(engine="native")
+    plan = run._prepared.plan
+    assert isinstance(plan, Plan)
+    assert plan.written_out is not None
+    record = Equations(diagram.flatten(), plan).record
+    assert "_items" not in vars(plan.instances)
+    assert record == Equations(diagram.flatten(), plan.written_out()).record == run._prepared.equations.record
 
 
 @pytest.mark.parametrize("method", ["rk4", "radau", "auto"])
