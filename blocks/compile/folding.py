@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -29,13 +29,13 @@ from ..contract.interface import Value
 from ..contract.resolution import Resolved, resolve
 from ..contract.variables import Input, Parameter
 from ..model.conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
-from ..model.copies import CopySource, EachSource, Fleet, Later
+from ..model.copies import CopySource, EachSource, Fleet, InLanes, Later
 from ..model.expansion import Expansion
 from ..model.flat_block import FlatBlock
 from ..model.flatten import Flat
 from ..model.wires import BlockSource, Source
 from ..text.errors import BlocksError
-from .memory_layout import ROWS
+from .memory_layout import ROWS, parameter_places
 from .plan import Plan, PlanSignal, Rate, Reference
 
 # mypy: disable-error-code="no-untyped-def,misc,operator,index"
@@ -184,7 +184,8 @@ def foldable(expansion: Expansion) -> bool:
             return False
         if block.condition is not None or block.time is not None or block.interface.cls in _OF_EDGES:
             return False
-        if any(other.clocks != resolved.clocks or not _alike(other, resolved) for other in each.values()):
+        others = (each.known if isinstance(each, InLanes) else each).values()  # columns are in the row p alone
+        if any(other.clocks != resolved.clocks or not _alike(other, resolved) for other in others):
             return False
     return True
 
@@ -377,23 +378,30 @@ def _whole(flat: Flat, made: Folded, builder: Any, folding: _Folding) -> Plan:
             for number in range(fleet.count):
                 yield from [f"{fleet.path}[{number}]{rest}" for rest in rests]
 
-    def numbers(of: object) -> tuple[float, ...]:
+    def numbers(of: Callable[[Resolved], Sequence[float]], *, is_row_p: bool) -> tuple[float, ...]:
         """The numbers of all blocks, copy by copy. of: those of one block."""
         row: list[float] = []
         for fleet, blocks in _runs(folding.roots):
-            entries = folding.entries[blocks.start : blocks.stop]
-            start = [expansion.blocks[index].resolved for index, _ in entries]
-            if fleet is None or not any(expansion.each[index] for index, _ in entries):
-                row += [x for resolved in start for x in of(resolved)] * (1 if fleet is None else fleet.count)
+            entries, first = folding.entries[blocks.start : blocks.stop], 0
+            starts = [of(expansion.blocks[index].resolved) for index, _ in entries]
+            if fleet is None:
+                row += [x for start in starts for x in start]
                 continue
-            plain = [None if expansion.each[index] else of(expansion.blocks[index].resolved) for index, _ in entries]
-            for number in range(fleet.count):
-                for (index, inner), known in zip(entries, plain, strict=True):
-                    if known is None:
-                        lane = number * _inner(expansion.fleets[index]) + inner  # type: ignore[arg-type]
-                        row += of(expansion.each[index].get(lane, expansion.blocks[index].resolved))
-                    else:
-                        row += known
+            table = np.tile(np.concatenate(starts), (fleet.count, 1))
+            for (index, inner), start in zip(entries, starts, strict=True):
+                block, own, each = expansion.blocks[index], expansion.fleets[index], expansion.each[index]
+                size, part = _inner(own), table[:, first : first + len(start)]  # type: ignore[arg-type]
+                others: Collection[int] = range(fleet.count) if not isinstance(each, InLanes) and each else ()
+                if isinstance(each, InLanes):
+                    others = [*each.copies.seen]
+                    for name, places in parameter_places(block.interface).items() if is_row_p else ():
+                        if name in each.columns:
+                            column = each.columns[name][inner::size].reshape(fleet.count, -1)
+                            part[:, places.start : places.stop] = column
+                for number in others:
+                    part[number] = of(each.get(number * size + inner, block.resolved))
+                first += len(start)
+            row += table.ravel().tolist()
         return tuple(row)
 
     rates = tuple(
@@ -410,8 +418,8 @@ def _whole(flat: Flat, made: Folded, builder: Any, folding: _Folding) -> Plan:
         one,
         instances=later("instances", expansion.layout.size),
         **names_of_rows,
-        nominal=numbers(lambda resolved: resolved.nominal),
-        parameters=numbers(lambda resolved: builder.numbers_of(resolved)[0]),
+        nominal=numbers(lambda resolved: resolved.nominal, is_row_p=False),
+        parameters=numbers(lambda resolved: builder.numbers_of(resolved)[0], is_row_p=True),
         tables=later("tables", "c"),
         x_start=later("x_start", "x"),
         d_start=later("d_start", "d"),

@@ -28,8 +28,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import numpy as np
+
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError, did_you_mean
 from .scalars import OPERATIONS
 
@@ -177,6 +180,41 @@ def evaluate(expression: Expression, values: Mapping[str, Scalar]) -> Scalar:
         lambda step: values[step.word] if step.scalar is None else step.scalar,
         lambda step, operands: _computed(expression.text, step, operands),
     )
+
+
+def evaluate_columns(expression: Expression, values: Mapping[str, Any], size: int) -> Array:
+    """Return the floats of an expression for many values of its names, to the last bit.
+
+    values: finite floats, or columns of `size` of them.
+
+    Raises:
+        ArithmeticError, TypeError, ValueError: where `evaluate` refuses some of them.
+    """
+
+    def computed(step: PostfixStep, operands: list[Any]) -> Any:
+        operation = OPERATIONS.get(step.op)
+        if step.word in _ROUNDED_ALIKE and operation is not None:
+            with np.errstate(all="ignore"):
+                made = operation.ieee(*operands)
+        else:
+            function = operator.mod if operation is None else operation.value
+            rows = zip(*(np.broadcast_to(operand, size).tolist() for operand in operands), strict=True)
+            made = np.array([float(function(*row)) for row in rows])
+        if not np.isfinite(made).all():
+            raise ArithmeticError(step.word)
+        return made
+
+    def operand(step: PostfixStep) -> Any:
+        value = values[step.word] if step.scalar is None else step.scalar.value
+        if np.shape(value) not in ((), (size,)) or not isinstance(value, (float, np.ndarray)):
+            raise TypeError(step.word)
+        return value
+
+    return np.array(np.broadcast_to(expression.folded(operand, computed), size), dtype=float)
+
+
+_ROUNDED_ALIKE = ("+", "-", "*", "/", "neg", "abs")
+"""The operations that IEEE 754 rounds, or that round nothing: numpy and Python agree to the last bit."""
 
 
 def check_numbers(expression: Expression) -> None:

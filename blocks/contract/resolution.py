@@ -569,6 +569,32 @@ def with_numbers(resolved: Resolved, changed: Mapping[str, Value]) -> Resolved |
     return None if resolving.faults else replace(resolved, values=values)
 
 
+def fits(resolved: Resolved, columns: Mapping[str, Array]) -> bool:
+    """Return whether each row of other numbers for some parameters is allowed, and changes nothing else of a block."""
+    declaration, values = resolved.interface.declaration, resolved.values
+    read = {use.name for use in uses(declaration) if use.what != "value"}
+    for name, column in columns.items():
+        parameter, first = declaration.parameters[name], values[name].value
+        is_plain = parameter.type == "real" and not (parameter.members or declaration.foreign or name in read)
+        if not is_plain or column.shape[1:] not in ((), np.shape(first)) or not np.isfinite(column).all():
+            return False
+        if _range_problem(parameter, column, resolved.interface):
+            return False
+    known: dict[str, Any] = {name: value.value for name, value in values.items()}
+    known |= resolved.interface.structural
+    shapes = {name: np.shape(known[name]) for name in columns}
+    for requirement in declaration.requirements:
+        function, reads = requirement.equation.function, requirement.equation.reads
+        for row in zip(*columns.values(), strict=True) if shapes.keys() & {*reads} else ():
+            known |= {name: np.broadcast_to(x, shapes[name]) for name, x in zip(columns, row, strict=True)}
+            try:
+                if not np.all(function(*(known[name] for name in reads))):
+                    return False
+            except Exception:  # a function of the class may raise anything
+                return False
+    return True
+
+
 @cache
 def _settled(declaration: Declaration) -> Mapping[str, Value]:
     """The default values of scalars that are valid and do not depend on other values.

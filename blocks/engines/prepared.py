@@ -41,6 +41,8 @@ _OF_THE_ROW = (*_OF_THE_CLOCK, "seed")
 """Those that a Plan depends on in its row p alone, too."""
 MOST_MADE = 4
 """Sets of parameters that are kept ready: each has a flat model."""
+MOST_BOUND = 10_000
+"""Blocks in all copies. Of more it takes longer to find what depends on a parameter than to flatten copies again."""
 _PLAIN = (str, bool, int, float, Fraction, type(None))
 
 
@@ -223,6 +225,8 @@ class Prepared:
         known = alike.rebindings.get(names)
         if known is None:
             if not self.is_current:  # defaults would be computed from what is outside now
+                return None
+            if not tunable and base.plan.folded is not None and len(base.flat.blocks) > MOST_BOUND:
                 return None
             known = alike.rebindings[names] = base.rebinding()
         if not known.is_possible or not all(map(known.is_tunable, tunable)):

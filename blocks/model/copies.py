@@ -21,6 +21,8 @@ from functools import cached_property
 from itertools import product
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from ..host.gc_pause import paused
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError
 from ..text.printable import counted
 from ..text.quantity_text import quantity_of
@@ -125,6 +127,55 @@ class Later(Sequence[T], Generic[T]):
 
     def __reduce__(self) -> Any:
         return tuple, (self._items,)
+
+
+class LateCopies:
+    """The copies of a fleet that is in no other, each looked into when somebody asks for it.
+
+    look_into: given the number of a copy, notes what is other in it. seen: the copies of which that is known.
+    """
+
+    def __init__(self, count: int, look_into: Callable[[int], None]) -> None:
+        self.count, self.seen, self._look_into = count, set[int](), look_into
+
+    def look(self, number: int) -> None:
+        """Look into a copy, unless that is done."""
+        if number not in self.seen:
+            self._look_into(number)
+            self.seen.add(number)
+
+    @paused()
+    def look_at_all(self) -> None:
+        """Look into all copies."""
+        for number in range(self.count):
+            self.look(number)
+
+
+class InLanes(Mapping[int, T]):
+    """By lane what is other in it, known once somebody asks for it.
+
+    size: how many lanes each of the copies has. columns: by parameter its numbers in all lanes, an element for each.
+    """
+
+    def __init__(self, copies: LateCopies, size: int, columns: Mapping[str, Array]) -> None:
+        self.copies, self.size, self.columns, self.known = copies, size, columns, dict[int, T]()
+
+    def __setitem__(self, lane: int, other: T) -> None:
+        self.known[lane] = other
+
+    def __getitem__(self, lane: int) -> T:
+        self.copies.look(lane // self.size)
+        return self.known[lane]
+
+    def __iter__(self) -> Iterator[int]:
+        self.copies.look_at_all()
+        return iter(sorted(self.known))
+
+    def __len__(self) -> int:
+        return len([*self])
+
+    def __reduce__(self) -> Any:
+        return dict, (dict(self),)
 
 
 class _CopyByCopy:

@@ -2,13 +2,16 @@
 
 A diagram that has copies is opened once, with the numbers of copy 0. This module visits the other copies where a number
 may differ: by a list, by an expression with `index`, by a value that was set in one copy, or by a stream.
+
+Where `copy_columns` computes the numbers of all copies at once, a copy is visited when somebody asks for it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from .copies import Copy
+from .copies import Copy, InLanes, LateCopies
+from .copy_columns import columns_of
 from .diagram_value import BlockEntry
 from .hierarchy import DiagramScope, Hierarchy, InLane, Leaf, is_equal
 from .origins import are_alike
@@ -27,6 +30,7 @@ def look_into_copies(hierarchy: Hierarchy) -> None:
 class _Lanes:
     def __init__(self, hierarchy: Hierarchy) -> None:
         self.hierarchy, self.faults = hierarchy, hierarchy.faults
+        self.before = len(self.faults)  # faults that do not keep it from visiting copies
         self.touched: set[str] = set()  # the paths of all that holds something that is set in one copy
         for path in hierarchy.overrides:
             parts = path.split(".")
@@ -48,10 +52,48 @@ class _Lanes:
                     self.copy(child, scope, entry, None, lane, changed)
                 continue
             whole = is_changed or self.differs(child)
+            if whole and scope.fleet is None and not self.is_faulty and self.put_off(child, scope, entry):
+                continue
             for number in range(child.copied.count):
                 copy = Copy(child.copied, number)
-                if (whole or self.is_touched(scope, name, copy)) and not self.faults:
+                if (whole or self.is_touched(scope, name, copy)) and not self.is_faulty:
                     self.copy(child, scope, entry, copy, lane * child.copied.count + number, changed)
+
+    @property
+    def is_faulty(self) -> bool:
+        return len(self.faults) > self.before
+
+    def put_off(self, child: Leaf | DiagramScope, scope: DiagramScope, entry: BlockEntry) -> bool:
+        """Put off visiting the copies of a fleet whose numbers can be computed at once; return whether they can."""
+        fleet = child.copied
+        assert fleet is not None
+        columns = columns_of(child, entry, self.hierarchy)
+        if columns is None:
+            return False
+
+        def look_into(number: int) -> None:
+            before, self.before = self.before, len(self.faults)
+            self.copy(child, scope, entry, Copy(fleet, number), number, frozenset())
+            if copies in self.hierarchy.late and self.is_faulty:  # what its classes read from outside is something else
+                self.faults.check()
+            self.before = before
+
+        copies = LateCopies(fleet.count, look_into)
+        for each, own in columns:
+            assert each.fleet is not None
+            size = each.fleet.total // fleet.count
+            each.each = InLanes(copies, size, own)
+            if isinstance(each, Leaf):
+                each.origins_of = InLanes(copies, size, own)
+        for number in range(fleet.count) if self.touched else ():
+            if self.is_touched(scope, child.name, Copy(fleet, number)):
+                copies.look(number)
+            if self.is_faulty:
+                for other in range(number):
+                    copies.look(other)
+                return True
+        self.hierarchy.late.append(copies)
+        return True
 
     def is_touched(self, scope: DiagramScope, name: str, copy: Copy | None) -> bool:
         return bool(self.touched) and not self.touched.isdisjoint(scope.paths(name, copy))
@@ -114,7 +156,7 @@ class _Lanes:
                 raw = of_block.copies if key == "copies" else of_block.control.get("trigger", {}).get(key)
                 if not changed.isdisjoint(names_in(raw)):
                     self.refuse(inner, name, "ticks" if key != "copies" else "copies")
-        if not self.faults:
+        if not self.is_faulty:
             self.visit(child, inner, changed, lane)
 
     def copy_of_leaf(

@@ -26,7 +26,19 @@ from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from ..text.quantity_text import quantity_of
 from . import streams
-from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of, unnumbered, without_numbers
+from .copies import (
+    Copy,
+    Fleet,
+    InLanes,
+    LateCopies,
+    depth_of,
+    dimensions,
+    labelled,
+    own_value,
+    stream_of,
+    unnumbered,
+    without_numbers,
+)
 from .diagram_grammar import LARGEST_SIZE
 from .diagram_value import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .origins import Origin, Origins
@@ -63,8 +75,8 @@ class Leaf:
     origins: Origins
     index: int
     copied: Fleet | None = None  # where the block itself has copies
-    each: dict[int, Resolved] = field(default_factory=dict)  # of the lanes in which its numbers are others
-    origins_of: dict[int, Origins] = field(default_factory=dict)  # of the lanes in which these are others
+    each: dict[int, Resolved] | InLanes[Resolved] = field(default_factory=dict)  # of lanes in which its numbers differ
+    origins_of: dict[int, Origins] | InLanes[Origins] = field(default_factory=dict)  # of lanes in which these differ
 
     @property
     def fleet(self) -> Fleet | None:
@@ -118,7 +130,7 @@ class DiagramScope:
     parameters: dict[str, Value | None] = field(default_factory=dict)
     origins: dict[str, Origin] = field(default_factory=dict)  # each after those that it reads
     children: dict[str, Leaf | DiagramScope | None] = field(default_factory=dict)
-    each: dict[int, InLane] = field(default_factory=dict)  # of the lanes in which its parameters are others
+    each: dict[int, InLane] | InLanes[InLane] = field(default_factory=dict)  # of lanes in which its parameters differ
 
     def __post_init__(self) -> None:
         self.path: str = "" if self.parent is None else self.parent.prefix + labelled(self.name, self.copy)
@@ -166,12 +178,15 @@ class Hierarchy:
         self.units: dict[object, Unit] = {}  # of parameters whose unit follows from structural ones
         self.drawing: dict[str, _Drawing] = {}  # by the names of streams
         self.fleets: list[Fleet] = []  # in the order of the text
+        self.late: list[LateCopies] = []  # the copies that are looked into when somebody asks for them
         _check_size(diagram)
         self.root = self.open(DiagramScope("", None, diagram, 0, 0))
 
     def check_overrides(self) -> None:
         """Refuse what is set and is not there, once all copies were looked into."""
         are_seen = not self.faults  # copies behind a fault were not looked into
+        for copies in self.late if not self.settable.keys() >= self.overrides.keys() else ():
+            copies.look_at_all()  # a name that is meant may be in any of them
         for path in self.overrides:
             of_all = without_numbers(path)[0].replace("[]", "")
             if path not in self.settable and (are_seen or of_all == path or of_all not in self.settable):
