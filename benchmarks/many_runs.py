@@ -28,6 +28,7 @@ ROBOT = "diagrams/paper/iadrc.json"
 ROUNDS = 5
 ROWS = 20
 ROBOTS = 64
+TINY = 3e-6  # s
 GOALS = {"4 lanes": 35 / 15, "8 lanes": 35 / 12}
 BARE = """
 import json, resource, sys
@@ -78,6 +79,7 @@ def main(base: str = "") -> None:
     print(f"{'a row of 1 ms, beyond its simulation':44} {beyond:8.3f} ms   {_verdict(beyond <= 0.1)} 0.1 ms")
     _threads(whole, table)
     _lanes(robot)
+    _tiny()
     _first(robot)
     _pool()
 
@@ -115,6 +117,29 @@ def _lanes(robot: Any) -> None:
             print(f"{f'{ROBOTS} robots, {what}, {name}':44} {1e3 * seconds:8.2f} ms a row")
             if name in GOALS:
                 _at_least(f"  {name}, beside one at a time", least["one at a time"] / seconds, GOALS[name])
+
+
+def _tiny() -> None:
+    """A row of a model with one state and a measure, in ten steps: what a row costs beyond its simulation."""
+    from blocks import Diagram, FirstOrder, Step
+
+    diagram = Diagram("tiny")
+    diagram.wire(diagram.add("lag", FirstOrder()).u, diagram.add("step", Step(at=0.0)).y)
+    diagram.measure("ISE", "ISE", of="lag.y", against="step.y")
+    diagram.settings(stop=1.0, method="rk4", step=0.1)
+    for lanes in ("exact", "fast"):
+        batch = diagram.batch(["lag.T"], lanes=lanes)
+        for n in (10**3, 10**5):
+            table = np.linspace(0.3, 0.6, n)[:, None]
+            cases: dict[str, Callable[[], Any]] = {
+                "batch": lambda batch=batch, table=table: batch(table, threads=1),
+                "sweep": lambda lanes=lanes, table=table: diagram.sweep({"lag.T": table[:, 0]}, threads=1, lanes=lanes),
+            }
+            for name, case in cases.items():
+                case()
+                seconds = min(_cpu(case) for _ in range(ROUNDS)) / n
+                goal = f"   {_verdict(seconds <= TINY)} {1e6 * TINY:.0f} us" if (name, n) != ("sweep", 10**3) else ""
+                print(f"{f'a tiny row, {lanes}, {name} of {n}':44} {1e6 * seconds:8.2f} us{goal}")
 
 
 def _at_least(label: str, ratio: float, goal: float) -> None:

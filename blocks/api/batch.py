@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Unpack
@@ -20,11 +20,10 @@ from ..compile.inputs import InputTable
 from ..compile.plan import Plan
 from ..compile.rebinding import Rebinding
 from ..engines.prepared import Prepared
-from ..engines.run.many_runs import Row, cores, times_of
+from ..engines.run.many_runs import Outcome, Row, cores, times_of
 from ..engines.run.memory_estimate import check
 from ..engines.selection import compiled_model
 from ..host.progress_line import in_rows, live_line
-from ..model.diagram_grammar import LARGEST_SEED
 from ..model.diagram_value import DiagramValue
 from ..model.resolver import resolver_of
 from ..model.unread import unread_faults
@@ -32,10 +31,11 @@ from ..model.variants import taken
 from ..model.varied import Column, columns_of, given_values, is_element, raw_values
 from ..results.results import Results
 from ..text.arrays import Array
-from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
+from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError
 from ..text.printable import counted, legible
 from ..text.rich_output import Part, Shown, Table
 from .batch_processes import Worker, in_processes, packed
+from .batch_rows import checked_seeds, rows_of
 from .case import CallWords, Case, check_words, takes
 from .given_values import picked, time_of
 from .lanes import Lanes, no_lanes
@@ -147,6 +147,7 @@ class Batch(Shown):
         self.name, self.seed = value.name, run.seed
         self.columns = tuple(column.name for column in self._columns)
         self.targets = tuple(tuple(target.path for target in column.targets) for column in self._columns)
+        self.has_elements = any(target.element is not None for column in self._columns for target in column.targets)
         self.units = tuple(column.unit for column in self._columns)
         self.measures, self.signals = tuple(kept.measures), tuple(first.plan.log)
         self.shapes = {name: first.plan.signal(name).shape for name in self.signals}
@@ -195,7 +196,7 @@ class Batch(Shown):
 
     def single(self, row: Sequence[object] | Mapping[str, object], seed: int | None = None) -> Results:
         """Run one row by itself, with all measures and with what the diagram records. Raises as `Diagram.run`."""
-        values = self._rows({name: [value] for name, value in row.items()})[0] if isinstance(row, Mapping) else row
+        values = rows_of(self.columns, {k: [x] for k, x in row.items()})[0][0] if isinstance(row, Mapping) else row
         if len(values) != len(self.columns):
             message = f"has {len(values)} values for {len(self.columns)} columns."
             raise UsageError(Fault("E501", "row", message, f"The columns: {', '.join(self.columns)}."))
@@ -212,21 +213,21 @@ class Batch(Shown):
         """
         check_words(words, CallWords)
         seeds, threads, max_steps = words.get("seeds"), words.get("threads"), words.get("max_steps")
-        rows = self._rows(table)
+        rows, numbers = rows_of(self.columns, table)
         _check_count("threads", threads)
         _check_count("max_steps", max_steps)
-        seeds = None if seeds is None else _checked_seeds(seeds, len(rows))
+        seeds = None if seeds is None else checked_seeds(seeds, len(rows))
         made = _Made(self, len(rows), seeds, max_steps)
         try:
-            given = [{**self._parameters, **raw} for raw in self._given(rows, made)]
+            given = _Given(self, rows, numbers, made)
             with live_line(words.get("progress"), in_rows("rows")) as told:
                 work = _Work(made, told)
                 if self._why:
                     self._one_by_one(given, work, threads)
                 else:
-                    for places in self._alike(given).values():
+                    for key, places in self._alike(given, made).items():
                         if not made.interrupted:
-                            self._at_once(given, places, work, threads)
+                            self._at_once(key, given, places, work, threads)
         except KeyboardInterrupt:
             made.interrupted = True
         return replace(made.rows(), how=self.how(len(rows), threads))
@@ -244,28 +245,25 @@ class Batch(Shown):
             return f"this process only: {self._why}, and {why_here}"
         return f"{count} process{'' if count == 1 else 'es'}: {self._why}"
 
-    def _given(self, rows: Sequence[Sequence[object]], made: _Made) -> Iterator[dict[str, object]]:
-        """The raw values of each row by path; {} where they are refused."""
-        for i, row in enumerate(rows):
-            try:
-                yield {**given_values(self._kept, self._resolver, raw_values(self._columns, row))}
-            except (ModelError, UsageError, ValueError, TypeError) as error:
-                made.fail(i, "refused", error)
-                yield {}
+    def given(self, row: Sequence[object]) -> dict[str, object]:
+        """Return the raw values of a row, by path. Raises what refuses them."""
+        raw = raw_values(self._columns, row)
+        return {**self._parameters, **given_values(self._kept, self._resolver, raw)}
 
     # --- by threads ------------------------------------------------------------------------------------------------
 
-    def _alike(self, given: Sequence[dict[str, object]]) -> dict[str, list[int]]:
-        """The rows of each form of the model: those whose values of what is fixed in it are alike."""
+    def _alike(self, given: _Given, made: _Made) -> dict[str, Array]:
+        """Return the rows of each form of the model: those whose values of what is fixed in it are alike."""
+        left = made.left(np.arange(len(made.status)))
+        for i in left.tolist():
+            if self._fixed is not None:
+                break
+            self._find_fixed(given[i])
         found: dict[str, list[int]] = {}
-        for i, raw in enumerate(given):
-            if self._fixed is None and raw:
-                self._find_fixed(raw)
-            found.setdefault(self._key(raw), []).append(i)
-        return found
-
-    def _key(self, given: Mapping[str, object]) -> str:
-        return repr([given.get(name) for name in self._fixed or ()])
+        for i in left.tolist() if self._fixed else ():
+            raw = given[i]
+            found.setdefault(repr([raw.get(name) for name in self._fixed or ()]), []).append(i)
+        return {key: np.array(rows) for key, rows in found.items()} if self._fixed else {"": left}
 
     def _find_fixed(self, given: Mapping[str, object]) -> None:
         """Find the parameters that fix more than numbers, by a row that is not refused."""
@@ -288,14 +286,11 @@ class Batch(Shown):
             message = "the row changes start, stop or every, but all rows record their signals on one grid."
             raise UsageError(Fault("E501", "row", message, "Log no signals, or give start, stop and every."))
 
-    def _at_once(
-        self, given: Sequence[dict[str, object]], places: Sequence[int], work: _Work, threads: int | None
-    ) -> None:
+    def _at_once(self, key: str, given: _Given, places: Array, work: _Work, threads: int | None) -> None:
         """Run the rows of one form of the model by threads."""
         made = work.made
-        key = self._key(given[places[0]])
         form = self._forms.pop(key, None)
-        while places and not made.interrupted:
+        while len(places) and not made.interrupted:
             form = self._piece(form, given, places[: self._most], work, threads)
             places = places[self._most :]
         if form is not None:
@@ -304,43 +299,43 @@ class Batch(Shown):
             del self._forms[next(iter(self._forms))]
 
     def _piece(
-        self, form: _Form | None, given: Sequence[dict[str, object]], places: Sequence[int], work: _Work,
-        threads: int | None,
-    ) -> _Form | None:  # fmt: skip
-        """Bind and run some rows; the form that they are of, once there is one."""
-        made = work.made
-        bound: list[int] = []
-        table = np.empty((0, 0))
-        others: dict[int, _Form] = {}  # rows that need a form of their own
-        for i in places:
-            if made.status[i] != "left":
-                continue
-            seed, is_bound = made.seed(i), False
+        self, form: _Form | None, given: _Given, places: Array, work: _Work, threads: int | None
+    ) -> _Form | None:
+        """Bind and run some rows; return the form that they are of, once there is one."""
+        made, first = work.made, -1
+        for i in places.tolist() if form is None else ():
+            first, form = i, self._flat(given, i, made)
             if form is not None:
-                if not len(table):
-                    table = np.tile(form.base, (len(places), 1))
-                own_seed = form.seed if seed is None else seed
-                is_bound = form.rebinding.fill(table[len(bound)], given[i], own_seed)
-            if not is_bound:
-                try:
-                    own = self._form(self._flattened(given[i], seed))
-                except BlocksError as error:
-                    made.fail(i, "refused", error)
-                    continue
-                form = form or own
-                if own.model is not form.model or not form.rebinding.is_possible:
+                break
+        if form is None:
+            return None
+        places = made.left(places)
+        table = np.tile(form.base, (len(places), 1))
+        is_bound = given.fill(table, form.rebinding, places, made.seeds)
+        others: dict[int, _Form] = {}  # rows that need a form of their own
+        for k in np.nonzero(~is_bound)[0].tolist():
+            i = int(places[k])
+            seed = made.seed(i)
+            if form.rebinding.fill(table[k], given[i], form.seed if seed is None else seed):
+                is_bound[k] = True
+            elif (own := form if i == first else self._flat(given, i, made)) is not None:
+                if own.model is form.model and form.rebinding.is_possible:
+                    table[k], is_bound[k] = own.base, True
+                else:
                     others[i] = own
-                    continue
-                if not len(table):
-                    table = np.tile(form.base, (len(places), 1))
-                table[len(bound)] = own.base
-            bound.append(i)
-        if form is not None:
-            self._run(form, bound, table[: len(bound)], work, threads)
+        self._run(form, places[is_bound], table if is_bound.all() else table[is_bound], work, threads)
         for i, own in others.items():
             if not made.interrupted:
-                self._run(own, [i], own.base[None], work, 1)
+                self._run(own, np.array([i]), own.base[None], work, 1)
         return form
+
+    def _flat(self, given: _Given, i: int, made: _Made) -> _Form | None:
+        """Flatten row i; return None if it is refused."""
+        try:
+            return self._form(self._flattened(given[i], made.seed(i)))
+        except BlocksError as error:
+            made.fail(i, "refused", error)
+            return None
 
     def _form(self, prepared: Prepared) -> _Form:
         plan = prepared.plan
@@ -352,32 +347,28 @@ class Batch(Shown):
         faults = (no_lanes("this row", why),) if why else ()
         return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters), faults)
 
-    def _run(
-        self, form: _Form, places: list[int], table: Array, work: _Work, threads: int | None
-    ) -> None:
+    def _run(self, form: _Form, places: Array, table: Array, work: _Work, threads: int | None) -> None:
         from ..engines.native.batch_threads import run_rows
 
         made, plan = work.made, form.prepared.plan
         assert isinstance(plan, Plan)
-        if not places:
+        if not len(places):
             return
         before = work.done
-        rows, is_cancelled = run_rows(
+        outcome, is_cancelled = run_rows(
             plan, form.inputs, form.model, table,
             grid=len(self.times), threads=threads, budget=made.budget, progress=lambda done: work.tell(before + done),
         )  # fmt: skip
-        for i, row in zip(places, rows, strict=True):
-            if row is not None:
-                made.take(i, row if row.status != "ok" else replace(row, faults=row.faults or form.faults))
+        made.take_all(places, outcome, form.faults)
         made.interrupted |= is_cancelled
-        work.tell(before + sum(row is not None for row in rows))
+        work.tell(before + int(np.count_nonzero(outcome.is_plain)) + len(outcome.others))
 
     # --- one by one ----------------------------------------------------------------------------------------------
 
-    def _one_by_one(self, given: Sequence[dict[str, object]], work: _Work, threads: int | None) -> None:
+    def _one_by_one(self, given: _Given, work: _Work, threads: int | None) -> None:
         """Run the rows in processes of their own."""
         made = work.made
-        rows = [(i, raw, made.seed(i)) for i, raw in enumerate(given) if made.status[i] == "left"]
+        rows = [(i, given[i], made.seed(i)) for i in made.left(np.arange(len(made.status))).tolist()]
         for i, ended in in_processes(self, rows, made.budget, threads or cores(), self._workers):
             if ended is None:
                 made.interrupted = True
@@ -425,30 +416,6 @@ class Batch(Shown):
         count = int(differs[0]) if len(differs) else count
         return np.column_stack([np.asarray(results[name])[:count].reshape(count, -1) for name in self.signals])
 
-    def _rows(self, table: Any) -> list[list[object]]:
-        """The rows of a table. Raises UsageError (E501)."""
-        if isinstance(table, Mapping) or hasattr(table, "columns"):
-            given = list(table)
-            for name in self.columns:
-                if name not in given:
-                    cure = did_you_mean(name, given) or f"Its columns: {', '.join(map(str, given)) or 'none'}."
-                    raise UsageError(Fault("E501", name, "the table has no such column.", cure))
-            extra = [str(name) for name in given if name not in self.columns]
-            if extra:
-                message = f"the batch has no column {', '.join(map(legible, extra))}."
-                raise UsageError(Fault("E501", "table", message, f"Its columns: {', '.join(self.columns)}."))
-            columns = [_listed(name, table[name]) for name in self.columns]
-            if len({len(column) for column in columns}) > 1:
-                message = "has columns of different lengths."
-                raise UsageError(Fault("E501", "table", message, "Give each column a value for each row."))
-            return [list(row) for row in zip(*columns, strict=True)]
-        rows = [_listed(f"row {i}", row) for i, row in enumerate(_listed("table", table))]
-        for i, row in enumerate(rows):
-            if len(row) != len(self.columns):
-                message = f"row {i} has {len(row)} values, but the batch has {len(self.columns)} columns."
-                raise UsageError(Fault("E501", "table", message, f"The columns: {', '.join(self.columns)}."))
-        return rows
-
 
 class _OverBudget(Exception):
     """A run has taken more steps than it may."""
@@ -468,6 +435,38 @@ class _Form:
     @property
     def seed(self) -> int:
         return self.prepared.plan.settings.seed
+
+
+class _Given:
+    """The raw values of the rows of a batch by path.
+
+    Here it is decided which rows Python looks at. Finite numbers come into their places as columns of the whole table
+    if they set whole parameters and fix nothing else. All else is read row by row.
+    """
+
+    def __init__(self, batch: Batch, rows: Sequence[Sequence[object]], numbers: Array | None, made: _Made) -> None:
+        """Rows that are refused fail at once."""
+        self.batch, self.rows = batch, rows
+        self.numbers = np.full((len(rows), 1), np.nan) if numbers is None or batch.has_elements else numbers
+        self.is_plain: Array = np.logical_and.reduce(np.isfinite(self.numbers), axis=1)
+        self.read: dict[int, dict[str, object]] = {}
+        for i in np.nonzero(~self.is_plain)[0].tolist():
+            try:
+                self.read[i] = batch.given(rows[i])
+            except (ModelError, UsageError, ValueError, TypeError) as error:
+                made.fail(i, "refused", error)
+
+    def __getitem__(self, i: int) -> dict[str, object]:
+        return self.read[i] if i in self.read else self.batch.given(self.rows[i])
+
+    def fill(self, table: Array, rebinding: Rebinding, places: Array, seeds: Sequence[int] | None) -> Array:
+        """Put the values of rows into a table; return for which rows that was possible."""
+        if not self.is_plain[places].any():
+            return np.zeros(len(places), dtype=bool)
+        numbers = self.numbers[places]
+        columns = {path: numbers[:, k] for k, paths in enumerate(self.batch.targets) for path in paths}
+        is_filled = rebinding.fill_all(table, columns, seeds and [seeds[i] for i in places.tolist()])
+        return is_filled & self.is_plain[places]
 
 
 class _Made:
@@ -491,6 +490,24 @@ class _Made:
         fault = error.faults[0] if isinstance(error, BlocksError) else Fault("E501", "row", str(error))
         self.take(i, Row(0, {}, (fault,), status))
 
+    def left(self, places: Array) -> Array:
+        """Return which of these rows are left."""
+        is_left: Array = self.status[places] == "left"
+        return places[is_left]
+
+    def take_all(self, places: Array, outcome: Outcome, faults: Sequence[Fault]) -> None:
+        """Take what became of these rows. faults: of rows that ran to their end and have none of their own."""
+        self.recorded[places] = outcome.signals
+        for k, row in outcome.others.items():
+            self.take(int(places[k]), row if row.status != "ok" else replace(row, faults=row.faults or tuple(faults)))
+        plain = places[outcome.is_plain]
+        for name, values in outcome.measures.items():
+            self.measures[name][plain] = values[outcome.is_plain]
+        self.steps[plain] = outcome.steps[outcome.is_plain]
+        for i in plain.tolist() if faults else ():
+            self.messages[i] = _told(faults)
+        self.status[plain] = "ok"  # last, as below
+
     def take(self, i: int, row: Row) -> None:
         """What became of row i."""
         faults, status = row.faults, row.status
@@ -499,7 +516,7 @@ class _Made:
         if len(row.signals):
             self.recorded[i, : len(row.signals)] = row.signals
         self.steps[i] = row.steps
-        self.messages[i] = " ".join(f"{fault.code} {fault.place}: {fault.message}" for fault in faults)
+        self.messages[i] = _told(faults)
         for name, value in row.measures.items():
             self.measures[name][i] = value
         self.status[i] = status  # last: where Ctrl-C comes between two lines, the row is left
@@ -531,6 +548,10 @@ class _Work:
                 self.progress(done, len(self.made.status))
 
 
+def _told(faults: Iterable[Fault]) -> str:
+    return " ".join(f"{fault.code} {fault.place}: {fault.message}" for fault in faults)
+
+
 def _why_processes(plan: Plan | Coupling, *, is_native: bool) -> str:
     """Why rows do not run side by side in threads, in words; "" where they do."""
     if isinstance(plan, Coupling):
@@ -546,28 +567,3 @@ def _check_count(name: str, given: object) -> None:
     """Raise UsageError (E501) for what is neither None nor an integer from 1 on."""
     if given is not None and (isinstance(given, bool) or not isinstance(given, (int, np.integer)) or given < 1):
         raise UsageError(Fault("E501", name, f"must be an integer, 1 or more, not {legible(repr(given))}."))
-
-
-def _checked_seeds(given: object, n: int) -> list[int]:
-    """The seeds of n rows. Raises UsageError (E501)."""
-    seeds = [seed.item() if isinstance(seed, np.generic) else seed for seed in _listed("seeds", given)]
-    if len(seeds) != n:
-        message = f"has {counted(len(seeds), 'seed')} for {counted(n, 'row')}."
-        raise UsageError(Fault("E501", "seeds", message, "Give a seed for each row, or leave seeds out."))
-    for i, seed in enumerate(seeds):
-        if type(seed) is not int or not 0 <= seed <= LARGEST_SEED:
-            message = f"must be integers from 0 to 2^53, but row {i} has {legible(repr(seed))}."
-            raise UsageError(Fault("E501", "seeds", message))
-    return seeds
-
-
-def _listed(name: str, given: Any) -> list[Any]:
-    """What a table, a row or a column holds, one by one. Raises UsageError (E501)."""
-    try:
-        if isinstance(given, (str, bytes)):
-            raise TypeError
-        return list(given)
-    except TypeError:
-        message = f"must be a list or an array, not {legible(repr(given))}."
-        cure = "Write a table as a list of rows, or as a mapping of columns."
-        raise UsageError(Fault("E501", name, message, cure)) from None

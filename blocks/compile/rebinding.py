@@ -8,7 +8,8 @@ then. So nothing that it gives differs from a Plan that is made again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, MutableSequence
+from collections.abc import Callable, Iterable, Mapping, MutableSequence, Sequence
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from ..text.errors import ModelError
 from ..text.units import to_si
 from .bindings import Given, bindings_of
 from .plan import Plan
-from .setting_programs import Setting, evaluated, numbers, put
+from .setting_programs import Setting, evaluated, evaluated_each, numbers, put
 
 
 class Rebinding:
@@ -138,6 +139,36 @@ class Rebinding:
                 row[index] = number_of(seed, stream)
         return True
 
+    def fill_all(self, table: Array, given: Mapping[str, Array], seeds: Sequence[int] | None) -> Array:
+        """Put values into many rows that hold `parameters`; return for which rows that was possible.
+
+        given: by path a finite number for each row. seeds: None: that of the Plan. What is False is left to `fill`.
+        """
+        n = len(table)
+        is_filled = np.ones(n, dtype=bool)
+        if not self.is_possible or any(one.setting.shape or isinstance(one.origin.unit, tuple) for one in self.given):
+            return ~is_filled
+        s: list[Any] = self.numbers.copy()  # arrays (n,) in the place of numbers that differ between rows
+        try:
+            for one in self.given:
+                unit, values = str(one.origin.unit), given[one.origin.set_at].tolist()
+                s[one.setting.first] = np.array([to_si(x, unit) for x in values])
+                is_filled &= _are_allowed(one.setting, s)
+            for setting in self.bound:
+                for place, program in zip(setting.span, setting.elements or (), strict=True):
+                    s[place] = np.array(evaluated_each(program, s, n))
+                    if setting.path in self.defaults:
+                        is_filled &= s[place] != 0.0
+                is_filled &= _are_allowed(setting, s)
+            for check in self.checks:
+                is_filled &= check.hold(s, n)
+        except Exception:  # as above; `fill` finds the rows
+            return np.zeros(n, dtype=bool)
+        put([*(one.setting for one in self.given), *self.bound], s, table.T)
+        for stream, places in self.streams if seeds is not None else ():
+            table[:, list(places)] = [[number_of(seed, stream)] for seed in seeds or ()]
+        return is_filled
+
 
 class _Requirement:
     """A condition of a block type on values of which some are given again: each of those is a Setting here."""
@@ -148,11 +179,22 @@ class _Requirement:
     def holds(self, s: list[float]) -> bool:
         return bool(np.all(self.function(*(_value(x, s) if isinstance(x, Setting) else x for x in self.operands))))
 
+    def hold(self, s: list[Any], n: int) -> Array:
+        """Return whether it holds in each of n rows."""
+        operands = [_each_value(x, s, n) if isinstance(x, Setting) else repeat(x) for x in self.operands]
+        return np.array([bool(np.asarray(self.function(*row)).all()) for row in zip(*operands, strict=False)])
+
 
 def _value(setting: Setting, s: list[float]) -> Any:
     """Return the value of a parameter as a block type sees it."""
     values = s[setting.first : setting.first + len(setting.values)]
     return np.array(values).reshape(setting.shape) if setting.shape else np.array(values[0])
+
+
+def _each_value(setting: Setting, s: list[Any], n: int) -> Iterable[Any]:
+    """Return `_value` of each of n rows."""
+    values = np.stack([np.broadcast_to(s[place], n) for place in setting.span], axis=-1)
+    return map(np.array, values.reshape(n, *setting.shape).tolist())
 
 
 def _numbers(given: Given, raw: object) -> list[float] | None:
@@ -183,3 +225,11 @@ def _allowed(setting: Setting, values: list[float]) -> bool:
         if high is not None and (x >= high if setting.high_open else x > high):
             return False
     return not setting.members or all(x in setting.members.values() for x in values)
+
+
+def _are_allowed(setting: Setting, s: list[Any]) -> Array | bool:
+    """Return whether the values of a setting are allowed, in each row."""
+    values = np.array([s[place] for place in setting.span])
+    if not (setting.whole or setting.members) and _allowed(setting, [float(values.min()), float(values.max())]):
+        return True
+    return np.array([_allowed(setting, row) for row in values.T.tolist()])

@@ -7,8 +7,11 @@ max, and in the order in which they are written, so that C computes the same bit
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, MutableSequence, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import repeat
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from ..contract.scalars import OPERATIONS, Scalar
 from ..contract.tape import TapeNode
@@ -63,6 +66,18 @@ def evaluated(program: Program, numbers: Sequence[float], *, is_strict: bool = F
                     raise
                 values.append(math.nan)
     return values[-1]
+
+
+def evaluated_each(program: Program, numbers: Sequence[Any], n: int) -> list[float]:
+    """Return what `evaluated` gives in each of n rows; numbers that differ are arrays (n,). Raises what Python does."""
+    values: list[Iterable[float]] = []
+    for node in program:
+        if node.op in ("constant", "argument"):
+            number = node.value if node.op == "constant" else numbers[int(node.value)]
+            values.append(number.tolist() if isinstance(number, np.ndarray) else repeat(number, n))
+        else:
+            values.append([*map(float, map(OPERATIONS[node.op].value, *[values[k] for k in node.operands]))])
+    return [*values[-1]]
 
 
 NO_MEMBERS: Mapping[str, int] = {}
@@ -122,8 +137,8 @@ def numbers(settings: Sequence[Setting]) -> list[float]:
     return [float(x) for setting in settings if setting.first >= 0 for x in setting.values]
 
 
-def put(settings: Iterable[Setting], s: Sequence[float], row: MutableSequence[float]) -> None:
-    """Put the numbers of settings into their places in the row p."""
+def put(settings: Iterable[Setting], s: Sequence[Any], row: Any) -> None:
+    """Put the numbers of settings into their places in the row p; or arrays, into columns."""
     for setting in settings:
         for k, places in enumerate(setting.places):
             for index in places if setting.first >= 0 else ():

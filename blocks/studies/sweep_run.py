@@ -211,10 +211,12 @@ def _in_unit(name: str, column: Array, unit: str) -> Array:
 
     Columns in which some values are no numbers stay as they are. Raises ModelError (E104, E114).
     """
+    if column.dtype.kind == "f":
+        return column
     if unit and column.dtype.kind == "O":
         column = np.fromiter(map(read_quantity, column), dtype=object, count=len(column))
     quantities = [isinstance(item, Mapping) and {*item} <= {"value", "unit", "doc"} for item in column]
-    if column.dtype.kind == "f" or not any(quantities):
+    if not any(quantities):
         return column
     unit = unit or unit_texts.si_text(str(column[quantities.index(True)].get("unit", "")))
     numbers = [in_unit(item, unit, name) for item in column.tolist()]

@@ -173,17 +173,24 @@ def to_si(value: float, unit: str, *, exact: Fraction | None = None) -> float:
     """
     if not unit or not math.isfinite(value):
         return value
-    rational, pi = _magnitude(unit)
-    offset = _offset(unit)
-    if rational == 1 and not pi and not offset:
+    p, q, r, s = _affine(unit)
+    if p == q and not r:
         return value
-    written = Fraction(repr(float(value))) if exact is None else exact
-    if not written and not offset:
+    n, d = _written(float(value)) if exact is None else exact.as_integer_ratio()
+    if not n and not r:
         return value
     try:
-        return float(written * rational * _PI**pi + offset)
+        return (n * p * s + r * d * q) / (d * q * s)  # of integers: rounded once
     except OverflowError:
         return math.copysign(math.inf, value)
+
+
+def _written(value: float) -> tuple[int, int]:
+    """Return the shortest decimal of a finite float as a ratio. `Fraction` takes ten times as long to read it."""
+    mantissa, _, exponent = repr(value).partition("e")
+    whole, _, part = mantissa.partition(".")
+    n, power = int(whole + part), int(exponent or 0) - len(part)
+    return (n * 10**power, 1) if power >= 0 else (n, 10**-power)
 
 
 def converted(value: float, a: str, b: str) -> float:
@@ -311,6 +318,13 @@ def _magnitude(text: str) -> tuple[Fraction, int]:
         message = f"the unit {text!r} is larger than 1e100 or smaller than 1e-100 in SI."
         raise ModelError(Fault("E114", "", message, "Use smaller prefixes or powers."))
     return rational, pi
+
+
+@lru_cache(maxsize=4096)
+def _affine(text: str) -> tuple[int, int, int, int]:
+    """Return the factor to SI and what 0 of the unit is there, each as a ratio."""
+    rational, pi = _magnitude(text)
+    return *(rational * _PI**pi).as_integer_ratio(), *_offset(text).as_integer_ratio()
 
 
 def _merged(factors: Iterable[tuple[str, int]]) -> Factors:

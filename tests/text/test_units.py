@@ -141,6 +141,20 @@ def test_values_are_scaled_as_decimals_with_one_rounding() -> None:
     assert units.to_si(0.3, "ms", exact=Fraction(1, 3)) == 1 / 3000
 
 
+@given(
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.sampled_from([("ms", Fraction(1, 1000), 0), ("km/h", Fraction(5, 18), 0), ("Mm", Fraction(10**6), 0),
+                     ("degF", Fraction(5, 9), Fraction("459.67") * 5 / 9)]),
+)  # fmt: skip
+def test_a_value_in_si_is_the_fraction_of_its_decimal(value: float, unit: tuple[str, Fraction, Fraction]) -> None:
+    text, factor, offset = unit
+    try:
+        expected = float(Fraction(repr(value)) * factor + offset)
+    except OverflowError:
+        expected = math.copysign(math.inf, value)
+    assert units.to_si(value, text) == expected
+
+
 def test_values_that_need_no_scaling_come_back_as_they_are() -> None:
     assert units.to_si(0.1, "N.m", exact=Fraction(1, 3)) == 0.1
     assert units.to_si(math.inf, "mV") == math.inf

@@ -18,13 +18,13 @@ from ...compile.plan import Plan
 from ...text.arrays import Array
 from ...text.errors import Fault
 from ..run.engine import ended_by
-from ..run.many_runs import Row, cores
+from ..run.many_runs import Outcome, Row, cores
 from ..run.measures import Measures
 from .model import Model
 from .native_engine import NativeEngine, in_brief
 
 _KEPT = 8  # numbers of a measure
-_LEFT, _DONE, _FAILED, _BUDGET, _NO_MEMORY = range(5)
+_LEFT, _DONE, _FAILED, _BUDGET, _NO_MEMORY, _STOPPED = range(6)
 _LOOK = 0.05  # s, after which progress is told and Ctrl-C seen
 
 
@@ -38,10 +38,9 @@ def run_rows(
     threads: int | None = None,
     budget: int | None = None,
     progress: Callable[[int], None] | None = None,
-) -> tuple[list[Row | None], bool]:
+) -> tuple[Outcome, bool]:
     """Run all rows of parameters (n, np). plan: that of the first. grid: how many rows of signals each has. progress:
-    called with how many rows are done. Gives what became of each (None where it was not reached), and whether Ctrl-C
-    cut it short.
+    called with how many rows are done. Gives what became of them, and whether Ctrl-C cut it short.
 
     Ctrl-C, and what `progress` raises, let no further row begin; after the latter it is raised again.
     """
@@ -57,7 +56,7 @@ def run_rows(
     ]
     batch, kept = _begun(plan, workers[0].engines[0], table, grid, budget)
     batch.is_by_one = int(bool(measures.paths))
-    paths: list[dict[int, Array]] = [{} for _ in range(n)]
+    paths: dict[int, dict[int, Array]] = {}
 
     working, ended = [*workers], threading.Event()
     memory = batch, kept, inputs, plan
@@ -80,7 +79,7 @@ def run_rows(
         batch.is_cancelled = 1
     if failure is not None:
         raise failure
-    return [_row(plan, measures, kept, i, paths[i], budget) for i in range(n)], is_cancelled
+    return _outcome(plan, measures, kept, paths, budget), is_cancelled
 
 
 class _Worker:
@@ -156,23 +155,31 @@ def _watched(
     return is_cancelled, failure
 
 
-def _row(
-    plan: Plan, measures: Measures, kept: dict[str, Array], i: int, paths: dict[int, Array], budget: int | None
-) -> Row | None:
-    """What became of a row; None where it was not reached."""
-    status, steps = int(kept["status"][i]), int(kept["steps"][i])
-    if status == _LEFT:
-        return None
-    if status == _BUDGET:
-        return Row.over(plan.name, budget)
-    signals = kept["signals"][i]
-    if status != _DONE:
-        return Row(steps, {}, (_why(plan, kept, i),), None, signals)
-    values, faults = measures.kept(kept["measured"][i], paths).results(float(kept["ended"][i]))
-    ended, stop = float(kept["ended"][i]), plan.settings.stop
-    if stop is not None and ended < stop:
-        faults = (*faults, ended_by(plan.settings.stop_when, ended))
-    return Row.ok(steps, values, faults, signals)
+def _outcome(
+    plan: Plan, measures: Measures, kept: dict[str, Array], paths: dict[int, dict[int, Array]], budget: int | None
+) -> Outcome:
+    """What became of the rows. Python looks only at each row of which there is something to say."""
+    status, ended = kept["status"], kept["ended"]
+    values, is_known = measures.results_each(kept["measured"], ended)
+    is_plain = is_known & (status == _DONE)
+
+    def row(i: int) -> Row:
+        steps, signals, t = int(kept["steps"][i]), kept["signals"][i], float(ended[i])
+        if status[i] == _BUDGET:
+            return Row.over(plan.name, budget)
+        if status[i] not in (_DONE, _STOPPED):
+            return Row(steps, {}, (_why(plan, kept, i),), None, signals)
+        faults: tuple[Fault, ...] = ()
+        if is_known[i]:
+            own = {name: float(column[i]) for name, column in values.items()}
+        else:
+            own, faults = measures.kept(kept["measured"][i], paths.get(i, {})).results(t)
+        if status[i] == _STOPPED:
+            faults = (*faults, ended_by(plan.settings.stop_when, t))
+        return Row.ok(steps, own, faults, signals)
+
+    others = {i: row(i) for i in np.nonzero((status != _LEFT) & ~is_plain)[0].tolist()}
+    return Outcome(is_plain, values, kept["steps"], kept["signals"], others)
 
 
 def _why(plan: Plan, kept: dict[str, Array], i: int) -> Fault:

@@ -47,6 +47,22 @@ class Row:
         return cls(steps, measures, tuple(first[code] for code in sorted(first, reverse=True)), "ok", signals)
 
 
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of n runs at once.
+
+    is_plain: (n,) of runs that came to their end and have all measures. measures, steps: (n,), those of plain runs.
+    signals: (n, rows, elements), as far as each came. others: of runs that are not plain, by number; none of a run that
+    was not reached.
+    """
+
+    is_plain: Array
+    measures: Mapping[str, Array]
+    steps: Array
+    signals: Array
+    others: Mapping[int, Row]
+
+
 def cores() -> int:
     """How many threads or processes can run at once."""
     known = getattr(os, "sched_getaffinity", None)

@@ -338,27 +338,41 @@ class Measures:
                 why, cure = f"its window has {turns:.10g} periods, not a whole number", _WHOLE
             if why:
                 value = math.nan
-            elif spec.type in ("mean_square", "RMS"):
-                value /= float(self.span[i])
-                value = math.sqrt(value) if spec.type == "RMS" else value
             elif spec.type == "THD":
                 value = self._distortion(i)
                 why, cure = _without(value, "its signal has no component at the frequency omega"), _FREQUENCY
             elif spec.type == "rise_time":
                 value = self._rise_time(i)
                 why = _without(value, "its signal does not go from 10 to 90 % of the step")
-            elif spec.type == "steady_state_error":
-                value = abs(self.last[i])
-            elif spec.type == "end_time":
-                value = min(t, spec.stop)
-            elif spec.type == "overshoot":
-                value = self._overshoot(i)
+            elif spec.type in _OF_NUMBERS:
+                own = self.begin[i], self.target[i], self.last[i], *self.extremes[i]
+                value = _OF_NUMBERS[spec.type](value, float(self.span[i]), self.first[i], *own, min(t, spec.stop))
             elif spec.type == "settling_time":
                 value = self._settling_time(i)
             if why:
                 faults.append(Fault("W301", f"measures.{spec.name}", f"has no value: {why}.", cure))
             values[spec.name] = value
         return values, tuple(faults)
+
+    def results_each(self, numbers: Array, t: Array) -> tuple[dict[str, Array], Array]:
+        """Return the values (n,) of n runs by name, bit for bit as `kept` and `results` give each, and which are known.
+
+        numbers: (n, m, 8) as `kept` takes them. t: (n,) where each run ended. A run is not known if a measure looks back
+        or has no value.
+        """
+        values, is_known = dict[str, Array](), np.full(len(t), not self.paths)
+        for spec, own in zip(self.specs, numbers.transpose(1, 0, 2), strict=True):
+            is_covered = (own[:, 1] > 0.0) & (spec.stop <= t if spec.stop < math.inf else spec.start < t)
+            if spec.start > -math.inf:
+                is_covered &= ~(own[:, 2] > spec.start)
+            values[spec.name] = own[:, 0]
+            if spec.type in _OF_NUMBERS:
+                of_one, at = _OF_NUMBERS[spec.type], np.nonzero(is_known & is_covered)[0]
+                rows = zip(own[at].tolist(), np.minimum(t[at], spec.stop).tolist(), strict=True)
+                values[spec.name] = np.full(len(t), math.nan)
+                values[spec.name][at] = [of_one(*kept, end) for kept, end in rows]
+            is_known &= is_covered & ~np.isnan(values[spec.name]) & (not spec.omega)
+        return values, is_known
 
     def _ended(self, t: float, row: Array) -> Measures:
         """The measures of a run that ends at t: what happens there is in the windows that end there."""
@@ -395,14 +409,6 @@ class Measures:
                     break
         return times[1] - times[0] if len(times) == 2 else math.nan
 
-    def _overshoot(self, i: int) -> float:
-        """How far `of` goes beyond the last `against`, as a part of the step from the first `of` to there."""
-        low, high = self.extremes[i]
-        size = self.target[i] - self.begin[i]
-        if size == 0.0:
-            return math.nan
-        return max(0.0, ((high if size > 0 else low) - self.begin[i]) / size - 1.0)
-
     def _settling_time(self, i: int) -> float:
         """From the window's beginning to the last entry of `of` into the band around the last `against`."""
         first, target = self.first[i], self.target[i]
@@ -421,6 +427,25 @@ class Measures:
                 t, h = rows[step, :2]
                 return float(t + entry(rows[step, 2:], k, target, band) * h - first)
         return 0.0
+
+
+def _overshoot(*kept: float) -> float:
+    """How far `of` goes beyond the last `against`, as a part of the step from the first `of` to there."""
+    _, _, _, begin, target, _, low, high, _ = kept
+    size = target - begin
+    if size == 0.0:
+        return math.nan
+    return max(0.0, ((high if size > 0 else low) - begin) / size - 1.0)
+
+
+_OF_NUMBERS: Mapping[str, Callable[..., float]] = {
+    "mean_square": lambda total, span, *_: total / span,
+    "RMS": lambda total, span, *_: math.sqrt(total / span),
+    "steady_state_error": lambda *kept: abs(kept[5]),
+    "end_time": lambda *kept: kept[-1],
+    "overshoot": _overshoot,
+}
+"""Measures that follow from the eight numbers of `Measures.kept`, and where the window ends as far as the run goes."""
 
 
 def _without(value: float, why: str) -> str:

@@ -60,7 +60,7 @@ void blocks_row_keep(BlocksBatch *b, BlocksSim *s, int64_t row, int status, cons
     b->failure[row] = s->failure;
     b->culprit[row] = s->culprit;
     b->status[row] = is_over(b, s) ? BLOCKS_ROW_BUDGET
-                     : status == BLOCKS_DONE ? BLOCKS_ROW_DONE
+                     : status == BLOCKS_DONE ? (blocks_has_ended(s) ? BLOCKS_ROW_STOPPED : BLOCKS_ROW_DONE)
                      : status == BLOCKS_NO_MEMORY ? BLOCKS_ROW_NO_MEMORY : BLOCKS_ROW_FAILED;
     __atomic_fetch_add(&b->done, 1, __ATOMIC_RELAXED);
 }

@@ -7,8 +7,8 @@
 /* What is kept of a measure: total, span, first, begin, target, last, low, high, as BlocksMeasured begins. */
 #define BLOCKS_KEPT 8
 
-/* How a row ended. */
-enum { BLOCKS_ROW_LEFT = 0, BLOCKS_ROW_DONE = 1, BLOCKS_ROW_FAILED = 2, BLOCKS_ROW_BUDGET = 3, BLOCKS_ROW_NO_MEMORY = 4 };
+/* How a row ended; STOPPED: its condition did so. */
+enum { BLOCKS_ROW_LEFT, BLOCKS_ROW_DONE, BLOCKS_ROW_FAILED, BLOCKS_ROW_BUDGET, BLOCKS_ROW_NO_MEMORY, BLOCKS_ROW_STOPPED };
 
 /* How a row begins is the same for all but p. Every pointer belongs to the caller. Threads that work on one batch take
    row after row; nothing of a row depends on which of them did, nor on its neighbours. */
