@@ -357,8 +357,8 @@ class Measures:
     def results_each(self, numbers: Array, t: Array) -> tuple[dict[str, Array], Array]:
         """Return the values (n,) of n runs by name, bit for bit as `kept` and `results` give each, and which are known.
 
-        numbers: (n, m, 8) as `kept` takes them. t: (n,) where each run ended. A run is not known if a measure looks back
-        or has no value.
+        numbers: (n, m, 8) as `kept` takes them. t: (n,) where each run ended. A run is not known if a measure looks
+        back or has no value.
         """
         values, is_known = dict[str, Array](), np.full(len(t), not self.paths)
         for spec, own in zip(self.specs, numbers.transpose(1, 0, 2), strict=True):
