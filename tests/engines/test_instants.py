@@ -11,9 +11,11 @@ import pytest
 from blocks import (
     Block,
     Constant,
+    Counter,
     DeadZone,
     Diagram,
     Discrete,
+    DiscreteIntegrator,
     Gain,
     Input,
     Integrator,
@@ -26,10 +28,13 @@ from blocks import (
     Relay,
     Results,
     Saturation,
+    SecondOrder,
+    SquareWave,
     State,
     Step,
     Sum,
     TransferFunction,
+    TransportDelay,
     UnitDelay,
     ZeroOrderHold,
     crossing,
@@ -616,3 +621,61 @@ def test_within_ulps_counts_spacings() -> None:
     assert within_ulps(math.inf, math.inf)
     assert not within_ulps(math.inf, 1e308)
     assert not within_ulps(0.0, 1e-300)
+
+
+# --- instants of ticks and edges alone ----------------------------------------------------------------------------
+
+
+def pulsed(is_delayed: bool) -> Diagram:
+    """A sampled loop with a saturated control and pulses, two of which rise together.
+
+    is_delayed: beside a delay that is longer than the run, so that all instants are taken as those of any diagram.
+    """
+    diagram = Diagram("pulsed")
+    first = diagram.add("first", SquareWave(period=0.05, duty=0.4))
+    second = diagram.add("second", SquareWave(period=0.1, duty=0.3, high=0.5))
+    third = diagram.add("third", SquareWave(period=0.037, duty=0.5, high=0.2))
+    load = diagram.add("load", Sum(signs="+++"))
+    plant = diagram.add("plant", SecondOrder(w=5.0, d=0.3))
+    error = diagram.add("error", Sum(signs="+-"))
+    sampler = diagram.add("sampler", ZeroOrderHold(period=0.02))
+    integral = diagram.add("integral", DiscreteIntegrator(period=0.01))
+    limit = diagram.add("limit", Saturation(lower=-0.1, upper=0.1))
+    switch = diagram.add("switch", Relay(on_at=0.9, off_at=0.7, on=-0.2, off=0.2))
+    sum_of = diagram.add("sum", Sum(signs="+++"))
+    counter = diagram.add("counter", Counter())
+    for sink, source in (
+        (load.u1, first.y),
+        (load.u2, second.y),
+        (load.u3, third.y),
+        (error.u1, load.y),
+        (error.u2, plant.y),
+        (sampler.u, error.y),
+        (integral.u, sampler.y),
+        (limit.u, integral.y),
+        (switch.u, plant.y),
+        (sum_of.u1, limit.y),
+        (sum_of.u2, switch.y),
+        (sum_of.u3, load.y),
+        (plant.u, sum_of.y),
+        (counter.u, first.y),
+    ):
+        diagram.wire(sink, source)
+    if is_delayed:
+        delay = diagram.add("delay", TransportDelay(delay=10.0))
+        diagram.wire(delay.u, diagram.add("nothing", Constant(value=0.0)).y)
+    diagram.measure("ISE", type="ISE", of=plant.y, against=1.0)
+    return diagram
+
+
+@pytest.mark.parametrize("more", [{}, {"every": 0.05}, {"every": 0.03, "jumps": True}], ids=["steps", "grid", "jumps"])
+def test_instants_of_ticks_and_edges_alone_are_what_they_are_beside_a_delay(more: dict[str, Any]) -> None:
+    log = ["plant.y", "limit.y", "switch.y", "counter.y", "integral.y"]
+    settings: dict[str, Any] = {"method": "rk4", "step": 0.005, "stop": 3.0, "log": log, **more}
+    plain, general = (pulsed(is_delayed).run(engine="native", **settings) for is_delayed in (False, True))
+    assert np.array_equal(plain.t, general.t)
+    assert np.array_equal(plain.values, general.values)
+    assert plain.events == general.events
+    assert plain.measures["ISE"] == pytest.approx(general.measures["ISE"], rel=1e-13)
+    assert plain.statistics.instants == general.statistics.instants
+    assert {event.block for event in plain.events} >= {"first", "second", "third", "limit", "switch", "counter"}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..tableaus import STIFF, c_header
 
-RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h", "jacobian.h", "stiff.h")
+RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h", "instants.h", "jacobian.h", "stiff.h")
 
 
 def packaged(*names: str) -> dict[str, str]:

@@ -29,12 +29,9 @@ BLOCKS_QUARTICS(HOT static, double)
 
 /* --- times -------------------------------------------------------------------------------------------------- */
 
-/* numerator / denominator, rounded once; both may be beyond 2^53. */
-BLOCKS_INLINE double ratio(__int128 numerator, int64_t denominator)
+/* The same where one of both is beyond 2^53. */
+double blocks_long_ratio(__int128 numerator, int64_t denominator)
 {
-    const int64_t plain = (int64_t)1 << 53;
-    if (numerator <= plain && numerator >= -plain && denominator <= plain)
-        return (double)(int64_t)numerator / (double)denominator;
     if (!numerator) return 0.0;
     int negative = numerator < 0, shift = 0;
     unsigned __int128 n = negative ? -(unsigned __int128)numerator : (unsigned __int128)numerator;
@@ -48,16 +45,9 @@ BLOCKS_INLINE double ratio(__int128 numerator, int64_t denominator)
     return negative ? -value : value;
 }
 
-double blocks_divided(const BlocksGrid *g, int64_t k) { return ratio((__int128)g->start + (__int128)k * g->step, g->unit); }
-
-HOT double blocks_tick_time(const BlocksSim *s, int64_t count)
+double blocks_divided(const BlocksGrid *g, int64_t k)
 {
-    return ratio((__int128)count * s->setup->base_numerator, s->setup->base_denominator);
-}
-
-BLOCKS_INLINE int64_t tick_count(const BlocksSim *s, int rate)
-{
-    return s->setup->rates[rate].offset + s->ticks[rate] * s->setup->rates[rate].period;
+    return blocks_ratio((__int128)g->start + (__int128)k * g->step, g->unit);
 }
 
 static double seconds(void)
@@ -751,11 +741,11 @@ HOT int blocks_logged(BlocksSim *s, double *out)
 
 /* A row where the grid asks for it, and at the stop; another instant at the time of the last one changes it. What is
    recorded is computed for these alone. */
-HOT static int record_on_grid(BlocksSim *s)
+HOT int blocks_record_on_grid(BlocksSim *s)
 {
+    if (!blocks_is_row_due(s)) return 0;
     const double point = blocks_next_row(s), t = s->t;
     const int is_on_grid = blocks_joins(s, point, t), is_again = !is_on_grid && s->last_row && blocks_joins(s, s->last_row[0], t);
-    if (!is_on_grid && !is_again && t != s->setup->end && s->last_row) return 0;
     if (blocks_logged(s, s->row_values)) return BLOCKS_FAILED;
     if (is_again) memcpy(s->last_row + 1, s->row_values, (size_t)s->model->nlogged * sizeof(double));
     else if (add_row(s, is_on_grid && t != s->setup->end ? point : t, s->row_values)) return BLOCKS_FAILED;
@@ -770,7 +760,7 @@ static int record(BlocksSim *s, const double *left)
     int n = s->model->nlogged;
     double t = s->t, *right = s->row_values;
     if (setup->is_silent) return 0;
-    if (!setup->has_jumps) return record_on_grid(s);
+    if (!setup->has_jumps) return blocks_record_on_grid(s);
     if (blocks_logged(s, right)) return BLOCKS_FAILED;
     double last = s->last_row ? s->last_row[0] : NAN;
     int on_grid = setup->every.is_given ? t == blocks_next_row(s) : t != last;
@@ -1134,7 +1124,7 @@ static int measure_step(BlocksSim *s, double t1, double h_dense)
 
 /* The values before an instant, where the step before has them, and those after it; they are taken in when nothing can
    fail any more. */
-static int measure_instant(BlocksSim *s)
+int blocks_measure_instant(BlocksSim *s)
 {
     int m = s->model->nmeasured;
     if (!m) return 0;
@@ -1154,7 +1144,7 @@ static void begin_before(BlocksSim *s, int i, double e)
     if (kind == BLOCKS_SIGNS && fabs(e) > s->setup->plain_atol) s->measured[i].high = e > 0.0 ? 1.0 : -1.0;
 }
 
-static void take_instant(BlocksSim *s)
+void blocks_take_instant(BlocksSim *s)
 {
     for (int i = 0; i < s->setup->nmeasures; i++) {
         const double *before = s->nodes + 5 * s->model->nmeasured + 2 * i;
@@ -1482,16 +1472,10 @@ static int compare_doubles(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* The side that goes with a value. Where a signal touched 0 and has not jumped since, it stays. inf: whatever the value is. */
-BLOCKS_INLINE double latched_side(const BlocksSim *s, int j, double value)
-{
-    return s->touched_t == s->t && (value == s->touched[j] || s->touched[j] == INFINITY) ? s->memory.s[j] : value >= 0;
-}
-
 HOT static int any_changed(const BlocksSim *s, const double *values)
 {
     for (int j = 0; j < s->model->ns; j++)
-        if (latched_side(s, j, values[j]) != s->memory.s[j]) return 1;
+        if (blocks_latched_side(s, j, values[j]) != s->memory.s[j]) return 1;
     return 0;
 }
 
@@ -1883,7 +1867,7 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
 BLOCKS_INLINE int is_off(const BlocksSim *s, int condition) { return condition >= 0 && s->memory.s[condition] == 0.0; }
 
 /* Whether a value may stand in a place of d: ints up to 2^53, of enumerations their members. */
-HOT static int is_whole(const BlocksSim *s, int slot, double value)
+HOT int blocks_is_whole(const BlocksSim *s, int slot, double value)
 {
     const BlocksSetup *setup = s->setup;
     int kind = setup->nintegers ? setup->integers[slot] : 0;
@@ -1909,7 +1893,7 @@ static int project(BlocksSim *s, double t, double *x, double *d, int *moved)
         if (is_off(s, p->condition)) continue;
         if (!isfinite(value)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, value);
         double *place = p->row == 0 ? &x[p->place] : &d[p->place];
-        if (p->row == 1 && !is_whole(s, p->place, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, p->place, value);
+        if (p->row == 1 && !blocks_is_whole(s, p->place, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, p->place, value);
         if (*place != value) *moved = 1;
         *place = value;
     }
@@ -2165,7 +2149,7 @@ static size_t late_places(const BlocksSetup *setup)
     return (size_t)most;
 }
 
-static int tell(BlocksSim *s, int cause)
+int blocks_tell(BlocksSim *s, int cause)
 {
     if (!s->setup->causes[cause].told) return 0;
     if (blocks_list_room(&s->fired_events, 2)) return no_memory(s);
@@ -2203,7 +2187,7 @@ HOT static int reset(BlocksSim *s, const double *sides, int asked, int is_given)
             if (r->row == 0) {
                 m->x[r->place] = value;
             } else {
-                if (!is_whole(s, r->place, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, r->place, value);
+                if (!blocks_is_whole(s, r->place, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, r->place, value);
                 m->d[r->place] = value;
             }
         }
@@ -2313,7 +2297,7 @@ HOT static int fire(BlocksSim *s, const double *sides, int asked, int is_given)
     for (int i = 0; i < setup->nenabled; i++)
         if (!isnan(since[i]) && turn_on(s, &setup->enabled[i], since[i])) return BLOCKS_FAILED;
     for (int i = 0; i < setup->ncauses; i++)
-        if (told[setup->order[i]] && tell(s, setup->order[i])) return BLOCKS_FAILED;
+        if (told[setup->order[i]] && blocks_tell(s, setup->order[i])) return BLOCKS_FAILED;
     return 0;
 }
 
@@ -2506,7 +2490,7 @@ HOT static int quiet_at_once(BlocksSim *s, int ndue, int seen, int *touched, Res
             if (seen && pass == 0) sides_seen(s, values);
             else sides_now(s, values);
             for (int j = 0; j < ns; j++) {
-                sides[j] = isnan(values[j]) ? s->memory.s[j] : latched_side(s, j, values[j]);
+                sides[j] = isnan(values[j]) ? s->memory.s[j] : blocks_latched_side(s, j, values[j]);
                 s->changed_sides[j] = sides[j] != s->memory.s[j];
                 if (!s->changed_sides[j]) continue;
                 changed = 1;
@@ -2625,7 +2609,7 @@ static int quiet_along(BlocksSim *s, int ndue, int *touched)
         int own = 0, any = ndue > 0;
         memset(s->firing, 0, (size_t)setup->ncauses);
         for (int j = 0; j < ns; j++) {
-            sides[j] = isnan(values[j]) ? m->s[j] : latched_side(s, j, values[j]);
+            sides[j] = isnan(values[j]) ? m->s[j] : blocks_latched_side(s, j, values[j]);
             s->changed_sides[j] = sides[j] != m->s[j];
             any |= s->changed_sides[j];
             s->firing[j] = s->changed_sides[j] && setup->causes[j].direction & (sides[j] > 0 ? 1 : 2);
@@ -2707,7 +2691,7 @@ static int has_jumped(const double *a, const double *b, size_t n)
 /* Whether anything can fire: else an instant of events is over before it begins. */
 BLOCKS_INLINE int is_calm(const BlocksSim *s) { return !s->model->ns && !s->model->hooks; }
 
-HOT static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
+HOT int blocks_check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
 {
     const int has_whole = s->setup->nintegers;
     for (int i = 0; i < n; i++) {
@@ -2715,7 +2699,7 @@ HOT static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
         if (!s->due[slots[i].rate] || (condition >= 0 && s->memory.s[condition] == 0.0)) continue;
         double value = s->d1[slots[i].slot];
         if (!isfinite(value)) return blocks_fail(s, BLOCKS_NOT_FINITE, slots[i].slot, value);
-        if (has_whole && s->setup->integers[slots[i].slot] && !is_whole(s, slots[i].slot, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, slots[i].slot, value);
+        if (has_whole && s->setup->integers[slots[i].slot] && !blocks_is_whole(s, slots[i].slot, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, slots[i].slot, value);
     }
     return 0;
 }
@@ -2764,7 +2748,7 @@ HOT static int tick(BlocksSim *s, int *touched)
         if (has_slots) {
             if (s->moving) blocks_outside(s, s->t);
             model->outputs(m, s->t, m->x, clique, stage, s->due, s->d1);
-            if (check_slots(s, slots, part->nslots)) return BLOCKS_FAILED;
+            if (blocks_check_slots(s, slots, part->nslots)) return BLOCKS_FAILED;
         }
         for (int i = 0; i < part->nsteppers; i++) {
             int number = setup->stage_steppers[part->first_stepper + i];
@@ -2785,7 +2769,7 @@ HOT static int tick(BlocksSim *s, int *touched)
         copy(s->d1, m->d, nd);
         if (s->moving) blocks_outside(s, s->t);
         model->nexts(m, s->t, m->x, s->due, s->d1);
-        if (check_slots(s, setup->nexts, setup->nnexts)) return BLOCKS_FAILED;
+        if (blocks_check_slots(s, setup->nexts, setup->nnexts)) return BLOCKS_FAILED;
         copy(m->d, s->d1, nd);
     }
     for (int r = 0; r < model->nrates; r++) {
@@ -2867,6 +2851,7 @@ HOT static int instant(BlocksSim *s, int is_start)
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
     BlocksMemory *m = &s->memory;
+    if (!is_start && model->plain_instant && model->plain_instant(s)) return 0;
     const size_t nx = (size_t)model->nx, nd = (size_t)model->nd, ns = (size_t)model->ns, ne = (size_t)model->nevents;
     double *x0 = s->backup + nx + nd + ns, *d0 = x0 + nx, *s0 = d0 + nd, *events0 = s0 + ns, *own0 = events0 + ne,
            *z0 = own0 + ne;
@@ -2912,7 +2897,7 @@ HOT static int instant(BlocksSim *s, int is_start)
     if (s->moving) blocks_outside(s, s->t);
     int any_tick = 0;
     for (int r = 0; r < model->nrates; r++) {
-        s->due[r] = s->exact == 1 && tick_count(s, r) == s->count;
+        s->due[r] = s->exact == 1 && blocks_tick_count(s, r) == s->count;
         any_tick |= s->due[r];
     }
     if (changed && s->crossing && withdraw(s, by_seen)) goto restore;
@@ -2939,11 +2924,11 @@ HOT static int instant(BlocksSim *s, int is_start)
         /* The rates at the start of the next step are other ones now; the proposed step may still serve. */
         s->has_first = 0;
         s->sides_t = NAN;
-        if (setup->nmeasures && measure_instant(s)) goto restore;
+        if (setup->nmeasures && blocks_measure_instant(s)) goto restore;
         measured = s->setup->nmeasures;
     }
-    if (!setup->is_silent && (setup->has_jumps ? record(s, left) : record_on_grid(s))) goto restore;
-    if (measured) take_instant(s);
+    if (!setup->is_silent && (setup->has_jumps ? record(s, left) : blocks_record_on_grid(s))) goto restore;
+    if (measured) blocks_take_instant(s);
     s->outstanding = s->changed = s->has_left = s->crossing = 0;
     if (!setup->is_silent) s->later = 0.0; /* an island may have the rest of the instant still before it */
     s->instants++;
@@ -3210,43 +3195,26 @@ int blocks_start(BlocksSim *s) { return blocks_begin(s) ? BLOCKS_FAILED : instan
 
 int blocks_settle(BlocksSim *s) { return s->outstanding ? instant(s, 0) : 0; }
 
-/* The time of the next tick, edge or end. */
-HOT static double next_instant(BlocksSim *s, double end, int64_t end_count, int32_t end_exact)
+HOT static double next_instant(BlocksSim *s)
 {
-    double target = end;
-    s->target_exact = end_exact;
-    s->target_count = end_count;
-    if (s->model->nrates) {
-        int64_t count = INT64_MAX;
-        for (int r = 0; r < s->model->nrates; r++) {
-            int64_t next = tick_count(s, r);
-            if (next < count) count = next;
-        }
-        double then = blocks_tick_time(s, count);
-        if (then <= end) {
-            target = then;
-            s->target_exact = 1;
-            s->target_count = count;
-        }
-    }
     double edge = s->setup->ntracks ? next_input_break(s, s->broken) : INFINITY;
     if (s->model->nh) edge = blocks_smaller(edge, next_delayed(s));
-    for (int i = 0; i < s->model->nevents; i++) edge = blocks_smaller(edge, s->events[i]);
-    if (edge < target && !blocks_within_ulps(edge, target, s->scale)) {
-        s->target_exact = 0;
-        return edge;
-    }
-    return target;
+    return blocks_next_of(s, s->model->nrates, s->model->nevents, edge);
 }
 
-double blocks_next(BlocksSim *s) { return next_instant(s, INFINITY, 0, 0); }
+double blocks_next(BlocksSim *s)
+{
+    s->end = INFINITY;
+    s->end_count = s->end_exact = 0;
+    return next_instant(s);
+}
 
 int blocks_is_due(const BlocksSim *s)
 {
     if (s->crossing || s->changed || (s->model->nprojections && s->model->ns)) return 1;
     if (s->exact == 1)
         for (int r = 0; r < s->model->nrates; r++)
-            if (tick_count(s, r) == s->count) return 1;
+            if (blocks_tick_count(s, r) == s->count) return 1;
     for (int i = 0; i < s->model->nevents; i++)
         if (blocks_within_ulps(s->events[i], s->t, s->scale)) return 1;
     return s->model->nh > 0;
@@ -3266,7 +3234,8 @@ int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t exact)
     s->failure = BLOCKS_FINE;
     look_at_clock(s);
     if (s->outstanding || !(s->t < end)) return BLOCKS_DONE;
-    int stopped = s->model->run(s, next_instant(s, end, count, exact));
+    s->end = end, s->end_count = count, s->end_exact = exact, s->goes_on = 0;
+    int stopped = s->model->run(s, next_instant(s));
     return stopped == BLOCKS_FAILED && s->failure == -1 ? BLOCKS_NO_MEMORY : stopped;
 }
 
@@ -3275,13 +3244,14 @@ HOT int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
 {
     s->failure = BLOCKS_FINE;
     look_at_clock(s);
+    s->end = end, s->end_count = count, s->end_exact = exact, s->goes_on = 1;
     while (s->outstanding || (s->t < end && !blocks_has_ended(s))) {
         if (s->outstanding) {
             if (instant(s, 0)) return s->failure == -1 ? BLOCKS_NO_MEMORY : BLOCKS_FAILED;
             if (s->t < end && !blocks_has_ended(s) && (s->t >= s->soft || (--s->budget <= 0 && blocks_clock(s)))) return BLOCKS_PAUSED;
             continue;
         }
-        int stopped = s->model->run(s, next_instant(s, end, count, exact));
+        int stopped = s->model->run(s, next_instant(s));
         if (stopped == BLOCKS_PAUSED) return BLOCKS_PAUSED;
         if (stopped != BLOCKS_DONE) return s->failure == -1 ? BLOCKS_NO_MEMORY : BLOCKS_FAILED;
     }

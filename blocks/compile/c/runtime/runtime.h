@@ -98,6 +98,7 @@ struct BlocksModel {
     void (*nexts)(const BlocksMemory *, double, const double *, const uint8_t *, double *);
     double (*trial)(BlocksSim *, double t, const double *x, double h, double *x1, int is_judged);
     int (*run)(BlocksSim *, double target);
+    int (*plain_instant)(BlocksSim *); /* see instants.h; null: there are none */
     const BlocksHooks *hooks; /* null: there are no such units */
     BlocksProgram foreign_inputs;
     int32_t ntaken; /* how many values it gives */
@@ -358,8 +359,10 @@ struct BlocksSim {
     double *known;            /* (1 + nmeasured) time and values of the last node */
     double *nodes;            /* (6, nmeasured) those values, others of a step that is one part, and those before an instant */
     BlocksPast past;
-    int64_t target_count;
-    int32_t target_exact;
+    double end; /* up to where the run is called for, as `t`, `count` and `exact` */
+    int64_t end_count, target_count;
+    int32_t end_exact, target_exact;
+    int32_t goes_on; /* whether plain instants on the way there are taken without coming back to the caller */
     double refused, refused_error; /* the size and the error of a retaken step that was not accepted */
     int32_t flowed;  /* whether other steps were tried from where the run stands */
     int32_t weighed; /* whether the weights of the step's dense output are all known */
@@ -449,7 +452,13 @@ double *blocks_new_row(BlocksSim *s);
 int blocks_fail(BlocksSim *s, int failure, int culprit, double value);
 int blocks_clock(BlocksSim *s); /* 1 where it is time to pause */
 double blocks_divided(const BlocksGrid *g, int64_t k);
-double blocks_tick_time(const BlocksSim *s, int64_t count);
+double blocks_long_ratio(__int128 numerator, int64_t denominator);
+int blocks_record_on_grid(BlocksSim *s);
+int blocks_measure_instant(BlocksSim *s);
+void blocks_take_instant(BlocksSim *s);
+int blocks_check_slots(BlocksSim *s, const BlocksSlot *slots, int n);
+int blocks_is_whole(const BlocksSim *s, int slot, double value);
+int blocks_tell(BlocksSim *s, int cause);
 double blocks_first_step(BlocksSim *s, double most);
 int blocks_chatters(BlocksSim *s, double step);
 int blocks_misses(BlocksSim *s, double *given);
@@ -549,9 +558,9 @@ BLOCKS_INLINE double blocks_smaller(double a, double b) { return a < b ? a : b; 
 
 BLOCKS_INLINE int blocks_within_ulps(double a, double b, double scale)
 {
-    if (isinf(a) || isinf(b)) return a == b;
     double most = blocks_larger(blocks_larger(fabs(a), fabs(b)), scale);
-    if (fabs(a - b) > 1e-12 * most && most > 1e-290) return 0;
+    if (fabs(a - b) > 1e-12 * most && most > 1e-290) return 0; /* not so where one is infinite */
+    if (isinf(a) || isinf(b)) return a == b;
     return fabs(a - b) <= 4 * blocks_ulp(most);
 }
 
@@ -568,6 +577,64 @@ BLOCKS_INLINE int blocks_is_due_at(double due, double t, double scale)
 BLOCKS_INLINE int blocks_joins(const BlocksSim *s, double at, double t)
 {
     return !s->setup->has_jumps && blocks_within_ulps(at, t, s->scale);
+}
+
+/* Whether record_on_grid has something to record. */
+BLOCKS_INLINE int blocks_is_row_due(BlocksSim *s)
+{
+    const double t = s->t;
+    return blocks_joins(s, blocks_next_row(s), t) || !s->last_row || blocks_joins(s, s->last_row[0], t) || t == s->setup->end;
+}
+
+/* The side that goes with a value. Where a signal touched 0 and has not jumped since, it stays. inf: whatever the value is. */
+BLOCKS_INLINE double blocks_latched_side(const BlocksSim *s, int j, double value)
+{
+    return s->touched_t == s->t && (value == s->touched[j] || s->touched[j] == INFINITY) ? s->memory.s[j] : value >= 0;
+}
+
+BLOCKS_INLINE int64_t blocks_tick_count(const BlocksSim *s, int rate)
+{
+    return s->setup->rates[rate].offset + s->ticks[rate] * s->setup->rates[rate].period;
+}
+
+/* numerator / denominator, rounded once; both may be beyond 2^53. */
+BLOCKS_INLINE double blocks_ratio(__int128 numerator, int64_t denominator)
+{
+    const int64_t plain = (int64_t)1 << 53;
+    if (numerator > plain || numerator < -plain || denominator > plain) return blocks_long_ratio(numerator, denominator);
+    return (double)(int64_t)numerator / (double)denominator;
+}
+
+BLOCKS_INLINE double blocks_tick_time(const BlocksSim *s, int64_t count)
+{
+    return blocks_ratio((__int128)count * s->setup->base_numerator, s->setup->base_denominator);
+}
+
+/* The time of the next tick, event or edge; at most the end of the run. edge: of inputs and delays. */
+BLOCKS_INLINE double blocks_next_of(BlocksSim *s, int nrates, int nevents, double edge)
+{
+    double target = s->end;
+    s->target_exact = s->end_exact;
+    s->target_count = s->end_count;
+    if (nrates) {
+        int64_t count = INT64_MAX;
+        for (int r = 0; r < nrates; r++) {
+            int64_t next = blocks_tick_count(s, r);
+            if (next < count) count = next;
+        }
+        double then = blocks_tick_time(s, count);
+        if (then <= target) {
+            target = then;
+            s->target_exact = 1;
+            s->target_count = count;
+        }
+    }
+    for (int i = 0; i < nevents; i++) edge = blocks_smaller(edge, s->events[i]);
+    if (edge < target && !blocks_within_ulps(edge, target, s->scale)) {
+        s->target_exact = 0;
+        return edge;
+    }
+    return target;
 }
 
 #endif

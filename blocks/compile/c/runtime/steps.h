@@ -6,6 +6,7 @@
    Reference: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, II.4 to II.6 (error control). */
 #include "methods.h" /* the tableau, as tableaus.py prints it */
 #include "runtime.h"
+#include "instants.h"
 
 #define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
 #if BLOCKS_METHOD_RADAU || BLOCKS_METHOD_AUTO
@@ -435,10 +436,12 @@ static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const
                                                              const double *restrict x, Stages k)
 {
 #if SMALL
-    double weights[DEGREE * (BLOCKS_NLOGGED_STATES > 0 ? BLOCKS_NLOGGED_STATES : 1)];
+    enum { EVEN = (BLOCKS_NLOGGED_STATES + 1) / 2 * 2 }; /* so that compilers compute two at once */
+    double weights[DEGREE * (EVEN > 0 ? EVEN : 1)], sums[EVEN > 0 ? EVEN : 1];
     double made[BLOCKS_NX > 0 ? BLOCKS_NX : 1];
 #else
-    double *restrict weights = s->weights, *restrict made = s->xs;
+    enum { EVEN = BLOCKS_NLOGGED_STATES };
+    double *restrict weights = s->weights, *restrict made = s->xs, *restrict sums = s->x2;
 #endif
     const BlocksGrid grid = s->setup->every;
     int64_t number = s->row;
@@ -454,20 +457,22 @@ static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const
         } else {
             if (!known) {
                 known = 1;
+                if (EVEN > BLOCKS_NLOGGED_STATES)
+                    for (int j = 0; j < DEGREE; j++) weights[j * EVEN + EVEN - 1] = 0.0;
                 _Pragma("GCC unroll 16") for (int a = 0; a < BLOCKS_NLOGGED_STATES; a++)
                     _Pragma("GCC unroll 8") for (int j = 0; j < DEGREE; j++) {
                         double sum = 0.0;
                         _Pragma("GCC unroll 8") for (int n = 0; n < STAGES; n++)
                             if (DENSE[n * DEGREE + j] != 0.0) sum += DENSE[n * DEGREE + j] * k[n][logged_states[a]];
-                        weights[a * DEGREE + j] = h * sum;
+                        weights[j * EVEN + a] = h * sum;
                     }
             }
             double theta = (at - t) / h;
-            _Pragma("GCC unroll 16") for (int a = 0; a < BLOCKS_NLOGGED_STATES; a++) {
-                double sum = 0.0;
-                _Pragma("GCC unroll 8") for (int j = DEGREE - 1; j >= 0; j--) sum = theta * (weights[a * DEGREE + j] + sum);
-                made[logged_states[a]] = x[logged_states[a]] + sum;
-            }
+            for (int a = 0; a < EVEN; a++) sums[a] = 0.0;
+            _Pragma("GCC unroll 8") for (int j = DEGREE - 1; j >= 0; j--)
+                for (int a = 0; a < EVEN; a++) sums[a] = theta * (weights[j * EVEN + a] + sums[a]);
+            _Pragma("GCC unroll 16") for (int a = 0; a < BLOCKS_NLOGGED_STATES; a++)
+                made[logged_states[a]] = x[logged_states[a]] + sums[a];
         }
         if (moving) blocks_outside(s, at);
         logged(m, at, made, row + 1);
@@ -481,6 +486,19 @@ static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const
     s->next_row = at, s->timed = number;
     return 0;
 }
+
+/* What lives across a call lives in memory. Few steps of fixed size have rows inside: for these alone values are stored. */
+#define ROWS_APART (SMALL && (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_EULER) && !BLOCKS_SHARES_MEASURED)
+#if ROWS_APART
+static __attribute__((noinline)) int rows_apart(BlocksSim *s, double t1, double h, int outstanding)
+{
+    double x[BLOCKS_NX > 0 ? BLOCKS_NX : 1];
+    Stages k;
+    EACH(x[i] = s->memory.x[i]);
+    for (int n = 0; n < STAGES; n++) EACH(k[n][i] = s->k[n][i]);
+    return rows_inside(s, &s->memory, (BLOCKS_NU || BLOCKS_NH) && s->moving, s->t, t1, h, outstanding, x, k);
+}
+#endif
 
 #if BLOCKS_QUICK_MEASURES
 
@@ -646,14 +664,19 @@ static int run(BlocksSim *s, double target)
 #if BLOCKS_METHOD_AUTO
     if (!isnan(s->stiff_from)) return blocks_stiff_run(s, target);
 #endif
+#if !BLOCKS_METHOD_DOPRI5
+    const BlocksGrid grid = setup->fixed;
+    double near, point;
+#endif
+#if HAS_PLAIN_INSTANTS
+begin:
+#endif
     if (first_rates(s)) return BLOCKS_FAILED;
     if (has_grid) blocks_next_row(s);
     else s->next_row = INFINITY;
     TAKE;
 #if !BLOCKS_METHOD_DOPRI5
-    const BlocksGrid grid = setup->fixed;
-    const double near = 1e-12 * fabs(target);
-    double point;
+    near = 1e-12 * fabs(target);
     int64_t fixed = s->fixed;
     while ((point = blocks_grid(&grid, fixed)) <= t) fixed++;
 #endif
@@ -674,7 +697,7 @@ static int run(BlocksSim *s, double target)
 #endif
                 return BLOCKS_PAUSED;
             }
-            budget = s->budget;
+            TAKE;
         }
         double t1, step, proposed = 0.0, error = 1e-4;
 #if BLOCKS_METHOD_DOPRI5
@@ -789,6 +812,17 @@ static int run(BlocksSim *s, double target)
                 s->weighed = 0;
                 blocks_look_at_rows(s, t1, step);
             }
+#if ROWS_APART
+            if (s->next_row < t1) {
+                GIVE_BACK;
+                GIVE_STEP;
+                s->fixed = fixed;
+                if (rows_apart(s, t1, step, t1 == target)) return BLOCKS_FAILED;
+                TAKE;
+                UNROLL for (int i = 0; i < BLOCKS_NX; i++) x1[i] = s->x1[i];
+                UNROLL for (int i = 0; i < WIDTH; i++) k[LAST][i] = s->k[LAST][i];
+            }
+#else
             if (s->next_row < t1 && rows_inside(s, m, moving, t, t1, step, t1 == target, x, k)) {
                 GIVE_BACK;
 #if !BLOCKS_METHOD_DOPRI5
@@ -796,6 +830,7 @@ static int run(BlocksSim *s, double target)
 #endif
                 return BLOCKS_FAILED;
             }
+#endif
 #if BLOCKS_QUICK_MEASURES
             if (!unmeasured && blocks_measure_whole(s, t, t1)) {
                 GIVE_BACK;
@@ -818,13 +853,31 @@ static int run(BlocksSim *s, double target)
                     s->exact = s->target_exact;
                     s->count = s->target_count;
                     s->outstanding = 1;
+#if HAS_PLAIN_INSTANTS
+                    if (s->goes_on && plain_instant(s)) {
+                        if (!(t < s->end) || blocks_has_ended(s)) return BLOCKS_DONE;
+                        if (t >= soft || (--s->budget <= 0 && blocks_clock(s))) return BLOCKS_PAUSED;
+                        target = blocks_next_of(s, BLOCKS_NRATES, BLOCKS_NEVENTS, INFINITY);
+                        goto begin;
+                    }
+#endif
                     return BLOCKS_DONE;
                 }
                 if (blocks_record_step(s)) return BLOCKS_FAILED;
+                TAKE;
             }
         }
 #if !BLOCKS_METHOD_DOPRI5
-        while (point <= t) point = blocks_grid(&grid, ++fixed);
+        while (point <= t) {
+            fixed++;
+            if (grid.is_plain) {
+                point = blocks_grid(&grid, fixed);
+            } else {
+                GIVE_BACK;
+                point = blocks_divided(&grid, fixed);
+                TAKE;
+            }
+        }
 #endif
     }
 }
@@ -863,6 +916,11 @@ static void prepare_all(BlocksMemory *m)
 #else
 #define CORNERS
 #endif
+#if HAS_PLAIN_INSTANTS
+#define PLAIN .plain_instant = plain_instant,
+#else
+#define PLAIN
+#endif
 #define PROGRAMS                                                                                                     \
     .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,            \
     .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW,                     \
@@ -871,7 +929,7 @@ static void prepare_all(BlocksMemory *m)
     .looks = looks, .prepare = prepare_all, .refresh = refresh,                                                      \
     .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,          \
     .solutions = solutions, .logged = logged, .measured = measured, .start = start,                                  \
-    .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,            \
+    PLAIN .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,            \
     FOREIGN CORNERS
 
 #if BLOCKS_METHOD_AUTO
