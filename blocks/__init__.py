@@ -12,6 +12,7 @@ from .library import NAMES
 from .text.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from .api.adrc import ADRC as ADRC
     from .api.case import Case as Case
     from .api.diagram import Diagram as Diagram
     from .api.diagram import subdiagram as subdiagram
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from .model.fmu_block import fmu as fmu
 
 _PLACES = {
+    "ADRC": "api.adrc",
     "Algebraic": "contract.variables",
     "AnalysisError": "text.errors",
     "Block": "contract.block",

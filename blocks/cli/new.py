@@ -33,10 +33,25 @@ def add(verbs: Verbs) -> None:
         "name", metavar="NAME", help="the project's name, or the path of its folder, which must be new or empty"
     )
     new.add_argument("--dry-run", action="store_true", help="list the files, and create none")
+    new.add_argument(
+        "--adrc",
+        nargs="?",
+        const="linear",
+        metavar="OBSERVER",
+        help="make the diagram file NAME of a controller with active disturbance rejection instead; its observer is "
+        "linear (unless given), reduced, generalized or cascade",
+    )
+    new.add_argument("--order", type=int, metavar="N", help="with --adrc: order of the plant (2)")
+    new.add_argument("--by", metavar="WHAT", help="with --adrc: what the observer gets, output (unless given) or error")
     new.set_defaults(verb=_new)
 
 
 def _new(options: argparse.Namespace) -> int:
+    if options.adrc is not None:
+        return _new_controller(options)
+    for word in ("order", "by"):
+        if getattr(options, word) is not None:
+            raise UsageError(Fault("E501", f"--{word}", "has no meaning without --adrc.", "Add --adrc."))
     folder = Path(options.name)
     name = folder.name
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -54,6 +69,27 @@ def _new(options: argparse.Namespace) -> int:
     if not options.dry_run:
         print(printable(f"next:\n  cd {folder}\n  blocks run diagrams/loop.json --library {name} --plot loop.svg"))
         print("  python -m pip install pytest\n  python -m pytest")
+    return 0
+
+
+def _new_controller(options: argparse.Namespace) -> int:
+    from ..api.adrc import ADRC
+
+    path = Path(options.name)
+    if path.suffix != ".json":
+        cure = f"Example: blocks new {path.stem or 'control'}.json --adrc."
+        raise UsageError(Fault("E501", legible(options.name), "is not a diagram file: its name ends with .json.", cure))
+    if path.exists():
+        raise UsageError(Fault("E501", legible(options.name), "exists.", "Choose another name. Nothing was written."))
+    given = {word: value for word in ("order", "by") if (value := getattr(options, word)) is not None}
+    made = ADRC(observer=options.adrc, **given).source
+    assert not isinstance(made, str)
+    if not options.dry_run:
+        made.save(path)
+    print(printable(f"{path}{' would hold' if options.dry_run else ':'} a controller with the inputs r, y and the output u"))
+    numbers = "b0, omega_c, omega_o, lower, upper"
+    print(printable(f'next:\n  use it as a block: {{"diagram": "{path.name}", "parameters": {{"b0": 2, "omega_c": 4}}}}'))
+    print(printable(f"  its parameters: {numbers}"))
     return 0
 
 

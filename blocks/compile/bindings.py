@@ -460,8 +460,9 @@ def _strictest(declaration: Declaration) -> dict[str, Use]:
 
 
 def _excluded(parameters: Mapping[str, Parameter], name: str) -> set[str]:
-    """Return the parameters that must not be given together with one."""
-    return {key for key, p in parameters.items() if p.excludes == name} | {parameters[name].excludes} - {""}
+    """Return the parameters that must not be given together with one; none for a size."""
+    own = {parameters[name].excludes} if name in parameters else set()
+    return {key for key, p in parameters.items() if p.excludes == name} | own - {""}
 
 
 def _text(doc: Any) -> str:

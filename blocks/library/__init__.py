@@ -14,6 +14,8 @@ _BY_MODULE = {
         "DiscreteESO DiscreteINLSEF DiscreteINTD DiscreteSMESO INLSEF INTD LESO LSEF NESO NLSEF SMESO "
         "TrackingDifferentiator"
     ),
+    "adrc_observers": "CascadeESO GeneralizedESO ReducedESO ScheduledESO ScheduledLSEF",
+    "adrc_sampled": "DiscreteADRC",
     "angles": "Encoder Unwrap Wrap",
     "arithmetic": "DotProduct Gain MatrixGain Norm Product Sum",
     "continuous": (

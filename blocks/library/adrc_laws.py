@@ -56,6 +56,11 @@ def linear_gains(order, bandwidth):
     return [math.comb(order + 1, k) * float(bandwidth) ** k for k in range(1, order + 2)]
 
 
+def binomial_gains(count, bandwidth):
+    """The coefficients of (s + bandwidth)^count, without the first: of a bandwidth that may be a signal."""
+    return np.stack([math.comb(count, k) * bandwidth**k for k in range(1, count + 1)])
+
+
 def powers(matrix, size):
     """The first `size` powers: 1, matrix, matrix^2, ..."""
     matrices = [np.eye(size)]

@@ -1,0 +1,127 @@
+"""A complete controller with active disturbance rejection, as a diagram of library blocks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..contract.block import Block
+from ..contract.variables import UNLIMITED
+from ..library import LIBRARY
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import legible
+from .diagram import Diagram, Subdiagram
+
+OBSERVERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "linear": ("LESO", {}),
+    "reduced": ("ReducedESO", {}),
+    "generalized": ("GeneralizedESO", {"extension": 2}),
+    "cascade": ("CascadeESO", {"levels": 2, "ratio": 2.0, "bandwidth": "=omega_o/2"}),
+}
+"""The observers by name: the block, and its values beyond those that all get. omega_o is the fastest pole of each."""
+
+
+def ADRC(
+    order: int = 2,
+    *,
+    b0: object = 1.0,
+    omega_c: object = 1.0,
+    omega_o: object = None,
+    observer: str | type[Block] = "linear",
+    by: str = "output",
+    derivatives: int = 0,
+    delay: object = None,
+    filter: object = None,
+    lower: object = -UNLIMITED,
+    upper: object = UNLIMITED,
+    unit: str = "",
+    unit_u: str = "",
+) -> Subdiagram:
+    """A controller for a plant y^(order) = f + b0 u: `loop.add("control", ADRC(2, b0=1.8, omega_c=4))`.
+
+    It has the inputs r and y and the outputs u, z1, ..., z_{order+1}. Inside are the blocks `feedback` (LSEF), `limit`
+    and `eso`, which gets the limited u. `.source` is the Diagram: change it, or save it as a file.
+
+    omega_c, omega_o: bandwidths of the loop and of the observer, rad/s; omega_o is 5 omega_c unless given. observer:
+    "linear", "reduced", "generalized" (extension 2) or "cascade" (2 levels, the last one at -omega_o); or a block class
+    of your own with the ports of a LESO, which gets those of order, b0, bandwidth, unit and unit_u that it has.
+    by="error": the observer estimates the error r - y and its derivatives, so that none of r are needed. derivatives:
+    how many of r are inputs, r2 = dr/dt, r3, ... up to order - 1, of by="output". delay: dead time of the plant, s; the
+    observer gets u this much later. filter: time constant of a low-pass filter of what is measured, s. lower, upper:
+    limits of u. unit, unit_u: of y and of u.
+
+    Numbers may be quantities ("4 rad/s") and stay parameters of the diagram: `control.omega_c` can be swept and tuned.
+
+    Raises UsageError (E501).
+    """
+    _check(order, observer, by, derivatives)
+    d = Diagram("adrc")
+    d.parameter("b0", b0, doc=f"what u adds to the derivative of y of order {order}")
+    d.parameter("omega_c", omega_c, unit="rad/s", doc="bandwidth of the loop")
+    d.parameter("omega_o", "=5*omega_c" if omega_o is None else omega_o, unit="rad/s", doc="bandwidth of the observer")
+    d.parameter("lower", lower, doc="smallest u")
+    d.parameter("upper", upper, doc="largest u")
+    units = {
+        "unit": d.parameter("unit", unit, doc="unit of r and y, where it is known"),
+        "unit_u": d.parameter("unit_u", unit_u, doc="unit of u, where it is known"),
+    }
+    r, y = d.input("r", doc="wanted output of the plant"), d.input("y", doc="measured output of the plant")
+    common: dict[str, Any] = {"order": order, "b0": "=b0" if by == "output" else "=-b0", **units}
+    feedback = d.add("feedback", LIBRARY["LSEF"](bandwidth="=omega_c", **common))
+    limit = d.add("limit", LIBRARY["Saturation"](lower="=lower", upper="=upper", unit="=unit_u"))
+    eso = d.add("eso", _observer(observer, {"bandwidth": "=omega_o", **common}))
+    seen = y
+    if by == "error":
+        error = d.add("error", LIBRARY["Sum"](signs="+-", unit="=unit"))
+        d.wire(error.u1, r)
+        d.wire(error.u2, y)
+        seen = error.y
+    else:
+        d.wire(feedback.r1, r)
+        for k in range(2, derivatives + 2):
+            d.wire(f"feedback.r{k}", d.input(f"r{k}", doc=f"derivative of r of order {k - 1}"))
+    if filter is not None:
+        time = d.parameter("T_f", filter, unit="s", doc="time constant of the filter of what is measured")
+        smooth = d.add("filter", LIBRARY["FirstOrder"](T=time, unit="=unit", unit_u="=unit"))
+        d.wire(smooth.u, seen)
+        seen = smooth.y
+    known = limit.y
+    if delay is not None:
+        time = d.parameter("delay", delay, unit="s", doc="dead time of the plant")
+        late = d.add("late", LIBRARY["TransportDelay"](delay=time, unit="=unit_u"))
+        d.wire(late.u, limit.y)
+        known = late.y
+    d.wire(limit.u, feedback.u)
+    d.wire(eso.y, seen)
+    d.wire(eso.u, known)
+    d.output("u", limit.y)
+    for k in range(1, order + 2):
+        d.wire(f"feedback.z{k}", f"eso.z{k}")
+        d.output(f"z{k}", f"eso.z{k}")
+    return Subdiagram(d, {})
+
+
+def _check(order: object, observer: object, by: object, derivatives: object) -> None:
+    def refuse(word: str, given: object, what: str, cure: str = "") -> None:
+        raise UsageError(Fault("E501", f"ADRC {word}", f"must be {what}, not {legible(repr(given)[:80])}.", cure))
+
+    if not isinstance(order, int) or isinstance(order, bool) or order < 1:
+        refuse("order", order, "a whole number from 1 on")
+    assert isinstance(order, int)
+    if isinstance(observer, str) and observer not in OBSERVERS:
+        refuse("observer", observer, f"one of {', '.join(OBSERVERS)}, or a block class", did_you_mean(observer, OBSERVERS))
+    if not isinstance(observer, str) and not (isinstance(observer, type) and issubclass(observer, Block)):
+        refuse("observer", observer, f"one of {', '.join(OBSERVERS)}, or a block class")
+    if by not in ("output", "error"):
+        refuse("by", by, '"output" or "error"')
+    most = order - 1 if by == "output" else 0
+    if not isinstance(derivatives, int) or isinstance(derivatives, bool) or not 0 <= derivatives <= most:
+        cure = 'With by="error" the observer estimates them.' if by == "error" else ""
+        refuse("derivatives", derivatives, f"a whole number from 0 to {most}", cure)
+
+
+def _observer(observer: str | type[Block], given: dict[str, Any]) -> Block:
+    if isinstance(observer, str):
+        name, more = OBSERVERS[observer]
+        return LIBRARY[name](**{**given, **more})
+    known = observer.declaration.parameters
+    return observer(**{key: value for key, value in given.items() if key in known})
