@@ -43,18 +43,16 @@ def _of_frequencies(frequencies, m):
     """The coefficients of the product of s^2 + w^2 over all w, from the highest power of s^2 down."""
     squares = [1.0]
     for k in range(m):
-        w2 = frequencies[k] ** 2
+        w2 = frequencies[k] * frequencies[k]
         squares = [own + w2 * below for own, below in zip([*squares, 0.0], [0.0, *squares], strict=True)]
     return squares
 
 
 def _generalized_gains(order, extension, m, frequencies, bandwidth):
     """Gains that put all poles at -bandwidth, for the model s^(n + extension) prod(s^2 + w^2)."""
-    if bandwidth is None:
-        raise ValueError("give gains or bandwidth")
     size = _size(order, extension, m)
     model = {2 * k: c for k, c in enumerate(_of_frequencies(frequencies, m)) if k}
-    wanted, gains = binomial_gains(size, bandwidth), []
+    wanted, gains = linear_gains(size - 1, bandwidth), []
     for k in range(1, size + 1):
         gain = wanted[k - 1] - model.get(k, 0.0)
         for j in range(1, k):

@@ -39,44 +39,62 @@ def _placed_gains(order, omega_c, period, placement):
     return gains / float(period) ** np.arange(order, 0, -1)
 
 
-def _matrices(order, period, observer, feedback, b0):
-    """The observer z(k) = F z(k-1) + G u(k-1) + L y(k), and K of u(k) = (k_1 r_1(k) + ... - K z(k))/b0."""
+# A polynomial in 1/z is the list of its coefficients. Products are written out: a compiled program adds in this order
+# too, where that of a matrix product may be another.
+
+
+def _dot(one, other):
+    return sum(a * b for a, b in zip(one, other, strict=True))
+
+
+def _later(order, time, z, i):
+    """Element i of a chain of integrators a time after z."""
+    term, total = 1.0, z[i]
+    for m in range(1, order + 1 - i):
+        term = term * time / m
+        total = total + term * z[i + m]
+    return total
+
+
+def _times_chain(order, response):
+    """The response times (1 - 1/z)^(n+1): its first coefficients, beyond which there are none."""
+    factor = [math.comb(order + 1, i) * (-1.0) ** i for i in range(order + 2)]
+    return [_dot(factor[: k + 1], response[k::-1]) for k in range(len(response))]
+
+
+def _denominator(order, period, observer):
+    """alpha: that of z(k) = (1 - L C)(A z(k-1) + B u(k-1)) + L y(k), without the leading 1."""
+    response = [_later(order, k * period, observer, 0) for k in range(1, order + 2)]
+    return np.stack(_times_chain(order, [1.0, *response])[1:])
+
+
+def _of_y(order, period, observer, feedback):
+    """beta: from y to (feedback, 1) z."""
+    weights = [*[feedback[k] for k in range(order)], 1.0]
+    response = [
+        _dot(weights, [_later(order, k * period, observer, i) for i in range(order + 1)]) for k in range(order + 1)
+    ]
+    return np.stack(_times_chain(order, response))
+
+
+def _of_u(order, period, observer, feedback, b0, alpha, beta):
+    """gamma: from u(k-1) to (feedback, 1) z.
+
+    With D = (1 - 1/z)^(n+1), P/D and Q/D from u to (feedback, 1) z and to y of the model alone, the observer has
+    e = (D y - Q u)/(D alpha): gamma = (P alpha - beta Q)/D.
+    """
+
+    def pushed(k, i):  # what u, held for one period, has done to z_i k periods later
+        power = order - i
+        return float(period) ** power * (((k + 1.0) ** power - float(k) ** power) / math.factorial(power))
+
     n = order + 1
-    steps = np.stack([after_period(period, z, 0.0, b0, order, "current") for z in np.eye(n)]).T
-    pushed = after_period(period, np.zeros(n), 1.0, b0, order, "current")
-    remains = np.eye(n) - np.stack([observer, *[np.zeros(n)] * order]).T
-    return remains @ steps, remains @ pushed, np.concatenate([feedback, np.ones(1)])
-
-
-def _denominator(order, period, observer, feedback, b0):
-    """alpha: det(z - F) = z^(n+1) + alpha_1 z^n + ..., by the method of Faddeev and LeVerrier."""
-    F, _, _ = _matrices(order, period, observer, feedback, b0)
-    found, part = [], np.eye(order + 1)
-    for k in range(1, order + 2):
-        product = F @ part
-        found.append(-sum(product[i, i] for i in range(order + 1)) / k)
-        part = product + found[-1] * np.eye(order + 1)
-    return np.stack(found)
-
-
-def _numerator(order, period, observer, feedback, b0, alpha, start):
-    """The coefficients of the response of K z to impulses that make z = start at once, over the denominator."""
-    F, _, K = _matrices(order, period, observer, feedback, b0)
-    response = []
-    for _ in range(order + 1):
-        response.append(K @ start)
-        start = F @ start
-    known = [1.0, *[alpha[k] for k in range(order + 1)]]
-    return np.stack([sum(known[i] * response[k - i] for i in range(k + 1)) for k in range(order + 1)])
-
-
-def _of_y(order, period, observer, feedback, b0, alpha):
-    return _numerator(order, period, observer, feedback, b0, alpha, observer)
-
-
-def _of_u(order, period, observer, feedback, b0, alpha):
-    pushed = _matrices(order, period, observer, feedback, b0)[1]
-    return _numerator(order, period, observer, feedback, b0, alpha, pushed)
+    of_y = _times_chain(order, [pushed(k, 0) for k in range(n)])
+    of_z = _times_chain(order, [_dot([feedback[i] for i in range(order)], [pushed(k, i) for i in range(order)]) for k in range(n)])
+    known, seen = [1.0, *[alpha[k] for k in range(order)]], [beta[k] for k in range(n)]
+    product = [_dot(of_z[: k + 1], known[k::-1]) - _dot(of_y[: k + 1], seen[k::-1]) for k in range(n)]
+    back = [math.comb(order + k, k) for k in range(n)]
+    return b0 * np.stack([_dot(back[: k + 1], product[k::-1]) for k in range(n)])
 
 
 class DiscreteADRC(Ticks):
@@ -137,7 +155,7 @@ class DiscreteADRC(Ticks):
     rate = Parameter(UNLIMITED, unit=unit_u / "s", positive=True, is_limit=True, doc="fastest change of u")
     bumpless = Parameter(False, structural=True, type="bool", doc="whether u goes on from u_start and from u_manual")
     transfer = Parameter(
-        lambda feedback, order: np.abs(feedback[0]) ** (-1.0 / order),
+        lambda feedback, order: float(np.abs(feedback[0])) ** (-1.0 / order),
         unit="s",
         positive=True,
         doc="time constant of bumpless",

@@ -98,7 +98,7 @@ class Linearization(ReplacedSlopes):
     def _places(self, names: Names) -> tuple[SignalElement, ...]:
         return tuple(spot for name in listed(names) for spot in places(self.graph, name))
 
-    def _ends(self, inputs: Names, outputs: Names) -> tuple[tuple[SignalElement, ...], tuple[SignalElement, ...]]:
+    def ends(self, inputs: Names, outputs: Names) -> tuple[tuple[SignalElement, ...], tuple[SignalElement, ...]]:
         """Where a model begins and ends. Raises UsageError (E501) where there is nothing, or something twice."""
         ends = self._places(inputs), self._places(outputs)
         for word, spots in zip(("inputs", "outputs"), ends, strict=True):
@@ -127,7 +127,7 @@ class Linearization(ReplacedSlopes):
 
     def transfer(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> Transfer:
         """As `model`, for which python-control is not loaded."""
-        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
+        (ins, outs), cut = self.ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         return self._hinted(self._made(wired, report, ins, outs, pade), ins, outs, cut)
 
@@ -193,7 +193,7 @@ class Linearization(ReplacedSlopes):
         """
         from .linear_model import LiftedModel
 
-        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
+        (ins, outs), cut = self.ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         plan = self.plan
         if not wired.d:
@@ -328,7 +328,7 @@ class Linearization(ReplacedSlopes):
         """
         from scipy import sparse
 
-        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
+        (ins, outs), cut = self.ends(inputs, outputs), self._places(openings)
         whole = wiring(self, ins, outs, cut, (), ())
         wired = reduced(self, whole, contributing(self, whole))
         if wired.d or wired.h:
@@ -373,7 +373,7 @@ class Linearization(ReplacedSlopes):
         """The frequency response (outputs, inputs, frequencies) at omega in rad/s; delays are exact."""
         from ..frequency.response import response
 
-        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
+        (ins, outs), cut = self.ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if omega.ndim != 1 or not np.isfinite(omega).all():
@@ -387,7 +387,7 @@ class Linearization(ReplacedSlopes):
 
         Raises UsageError (E501) where no delay or something sampled contributes, and AnalysisError as `model`.
         """
-        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
+        (ins, outs), cut = self.ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         if not wired.h:
             message = "this transfer has no exact delay."

@@ -79,8 +79,8 @@ def contributing(replaced: ReplacedSlopes, wiring: Wiring) -> Array:
     return kept
 
 
-def reduced(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> Wired:
-    """The model of what contributes. Raises AnalysisError (E701) where an algebraic loop has no unique solution."""
+def variables(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> tuple[list[int], ...]:
+    """What contributes: states, places in d, histories, what lies between, and the perturbations."""
     graph, first, sizes = replaced.graph, replaced.graph.first, replaced.graph.sizes
     x = [*range(first["x"], first["x"] + sizes["x"]), *range(wiring.states, wiring.size)]
     given = {column for columns in replaced.given.values() for column in columns}
@@ -90,7 +90,13 @@ def reduced(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> Wired:
     points = range(wiring.points, wiring.inputs)
     z = [c for c in (*range(first["v"], first["v"] + sizes["v"]), *points) if kept[c]]
     z += sorted(c for c in given if kept[c] and c not in z)
-    e = list(range(wiring.inputs, wiring.states))
+    return x, d, h, z, list(range(wiring.inputs, wiring.states))
+
+
+def reduced(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> Wired:
+    """The model of what contributes. Raises AnalysisError (E701) where an algebraic loop has no unique solution."""
+    graph, first = replaced.graph, replaced.graph.first
+    x, d, h, z, e = variables(replaced, wiring, kept)
     rest = [*x, *d, *h, *e]
     whole = wiring.entries.block([*x, *d, *h, *z], [*rest, *z])
     if not np.isfinite(whole if isinstance(whole, np.ndarray) else whole.data).all():

@@ -188,12 +188,17 @@ class ReplacedSlopes:
     @cached_property
     def entries(self) -> tuple[Array, Array, Array]:
         """The partials as (variable, slot, value): the variable that the node gives, or whose rate it gives."""
+        return self.entries_of(self.data)
+
+    def entries_of(self, data: Array) -> tuple[Array, Array, Array]:
+        """The same with other partials of the tapes, which may have a column for each of many models."""
         graph = self.graph
-        rows, slots, data = graph.partial_rows, graph.partial_slots, self.data
+        rows, slots = graph.partial_rows, graph.partial_slots
         if self.extra:
             keys = np.array(list(self.extra), dtype=np.intp)
             rows, slots = np.concatenate([rows, keys[:, 0]]), np.concatenate([slots, keys[:, 1]])
-            data = np.concatenate([data, list(self.extra.values())])
+            extra = np.array(list(self.extra.values()))
+            data = np.concatenate([data, np.broadcast_to(extra.reshape(-1, *[1] * (data.ndim - 1)), (len(extra), *data.shape[1:]))])
         keep = (graph.variable[rows] >= 0) & ~self.slopes.off[rows]
         if self.overridden:
             owners = np.array([node.instance for node in graph.nodes], dtype=np.intp)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -55,16 +56,36 @@ def slopes_at(point: Point) -> Slopes:
 
 def _slopes(graph: Interconnection, point: Point) -> Slopes:
     """The partial derivatives at a point, with the laws that have none there."""
-    everything = _everything(graph, point)
-    numbers, first = np.empty(len(graph.partial_rows)), 0
-    told: dict[int, str] = {}
+    everything, told = _everything(graph, point), dict[int, str]()
+    numbers = _partials(graph, everything)
+    first = 0
     for group in graph.groups:
         kind, size = group.type, len(group.members)
         if isinstance(kind.tape, FmuTape):
             partials = numbers[first : first + len(kind.pairs) * size].reshape(len(kind.pairs), size)
             for m, i in enumerate(group.members):
                 partials[:, m], told[i] = partials_of_fmu(kind, point, i, everything[group.gather[:, m]])
-            first += partials.size
+        first += len(kind.pairs) * size
+    slopes = Slopes(graph, point, everything, numbers, told)
+    slopes.find_laws()
+    return slopes
+
+
+def partials_of_rows(slopes: Slopes, rows: Array) -> Array:
+    """The partial derivatives where the parameters are others, (partials, rows): signals stay as they are.
+
+    rows: rows p of the Plan, one below the other. Derivatives of FMUs are left out.
+    """
+    return _partials(slopes.graph, _everything(slopes.graph, slopes.point, rows.T))
+
+
+def _partials(graph: Interconnection, everything: Array) -> Array:
+    """The partial derivatives by the tapes of all types, from all that equations read; those of FMUs are not set."""
+    numbers, first = np.empty((len(graph.partial_rows), *everything.shape[1:])), 0
+    for group in graph.groups:
+        kind, size = group.type, len(group.members)
+        if isinstance(kind.tape, FmuTape):
+            first += len(kind.pairs) * size
             continue
         arguments = list(everything[group.gather])
         for tape, nodes, sums in kind.tapes:
@@ -76,23 +97,24 @@ def _slopes(graph: Interconnection, point: Point) -> Slopes:
                 for n, terms in enumerate(terms_on_arrays(tape, nodes, arguments, group.tables)):
                     part = numbers[begin + n * size : begin + (n + 1) * size]
                     part[np.abs(part) <= ROUNDING * terms] = 0.0
-    slopes = Slopes(graph, point, everything, numbers, told)
-    slopes.find_laws()
-    return slopes
+    return numbers
 
 
-def _everything(graph: Interconnection, point: Point) -> Array:
-    """All that equations read, in one row."""
+def _everything(graph: Interconnection, point: Point, parameters: Array | None = None) -> Array:
+    """All that equations read, in one row. parameters: others, (parameters, rows); there is a column for each row."""
     t, x, d, s, p, u, k, h, *_ = point.memory
-    values = np.empty(graph.width + len(graph.numbers))
+    shape = graph.width + len(graph.numbers)
+    values = np.empty(shape if parameters is None else (shape, parameters.shape[1]))
     parts = {"x": x, "d": d, "s": s, "p": p, "u": u, "h": h, "w": point.outputs}
-    values[graph.begin["tick"] : graph.begin["h"]] = k
+    values[graph.begin["tick"] : graph.begin["h"]] = _column(k, values)
     for row, numbers in parts.items():
-        values[graph.begin[row] : graph.begin[row] + len(numbers)] = numbers
+        values[graph.begin[row] : graph.begin[row] + len(numbers)] = _column(numbers, values)
+    if parameters is not None:
+        values[graph.begin["p"] : graph.begin["p"] + len(parameters)] = parameters
     for slot, value in graph.begun:
         values[graph.begin["d"] + slot] = value
     values[graph.begin["t"]], values[graph.begin["c"]] = t, 0.0
-    values[graph.width :] = graph.numbers
+    values[graph.width :] = _column(graph.numbers, values)
     for group in graph.groups:  # locals, by the tapes that see through them
         kind = group.type
         if not kind.locals:
@@ -103,6 +125,12 @@ def _everything(graph: Interconnection, point: Point) -> Array:
         for places, value in zip(group.locals, local_values, strict=True):
             values[places] = value
     return values
+
+
+def _column(numbers: Any, values: Array) -> Array:
+    """Numbers beside rows of one or of many columns."""
+    row = np.asarray(numbers, dtype=float)
+    return row if values.ndim == 1 else row[:, None]
 
 
 class Slopes:

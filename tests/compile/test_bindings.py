@@ -331,6 +331,7 @@ def test_computed_defaults_of_the_library_are_followed_but_for_powers_of_arrays_
             if "which only Python can do" in setting.why:
                 alone.setdefault(name, set()).add(setting.path)
     assert alone == {
+        "DiscreteADRC": {"b.omega_c", "b.omega_o", "b.feedback", "b.observer"},
         "DiscreteESO": {"b.bandwidth", "b.gains"},
         "NESO": {"b.bandwidth", "b.alpha", "b.delta", "b.gains"},
     }

@@ -1,0 +1,163 @@
+"""Margins and peaks of many closed loops at once, from stacks of matrices.
+
+The closed loop of each row is dx/dt = A x + B e, with e added at the signal where the loop is opened: from there to the
+signal behind it is S, and L = 1/S - 1. All is found on a grid for each row, laid out from its own poles, and then
+refined: crossings by secants, peaks by parabolas. `margins` of one loop is exact and knows every crossing; here narrow
+peaks between the points of the grid can be missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..text.arrays import Array
+
+_POINTS = 160
+_NUMBERS = 2**21
+"""Numbers of one response that are computed at once."""
+Response = Callable[[Array, Array], Array]
+
+
+def responder(A: Array, B: Array, C: Array, D: Array) -> Response:
+    """Return the function of rows and frequencies [rad/s] (rows, count) that gives C (jw - A)^-1 B + D.
+
+    A: (rows, n, n); B: (rows, n), C: (rows, n), D: (rows): of one input and one output.
+    """
+    from scipy.linalg import hessenberg
+
+    n = A.shape[1]
+    H, q = np.empty_like(A), np.empty_like(A)
+    for k, matrix in enumerate(A):
+        H[k], q[k] = hessenberg(matrix, calc_q=True)
+    b, c = np.einsum("kji,kj->ki", q, B), np.einsum("kj,kji->ki", C, q)
+
+    def response(rows: Array, omega: Array) -> Array:
+        found = np.empty(omega.shape, dtype=complex)
+        chunk = max(1, _NUMBERS // max(1, n * omega.shape[1]))
+        for first in range(0, len(rows), chunk):
+            part = slice(first, first + chunk)
+            k = rows[part]
+            found[part] = _solved(H[k], b[k], c[k], 1j * omega[part]) + D[k][:, None]
+        return found
+
+    return response
+
+
+def _solved(H: Array, b: Array, c: Array, p: Array) -> Array:
+    """c (p - H)^-1 b for upper Hessenberg matrices: columns are rotated from the last one up, as in `realization`."""
+    n = H.shape[1]
+    if not n:
+        return np.zeros(p.shape, dtype=complex)
+    y = np.moveaxis(np.broadcast_to(b[:, None, :].astype(complex), (*p.shape, n)), 2, 0).copy()
+    cosines, sines = np.empty((n, *p.shape), dtype=complex), np.empty((n, *p.shape))
+    last = np.moveaxis(np.broadcast_to(-H[:, None, :, -1].astype(complex), (*p.shape, n)), 2, 0).copy()
+    last[-1] += p
+    with np.errstate(all="ignore"):
+        for k in range(n - 1, 0, -1):
+            column = np.moveaxis(
+                np.broadcast_to(-H[:, None, : k + 1, k - 1].astype(complex), (*p.shape, k + 1)), 2, 0
+            ).copy()
+            column[k - 1] += p
+            corner = -H[:, k, k - 1][:, None]
+            length = np.hypot(np.abs(last[k]), np.abs(corner))
+            cosines[k], sines[k] = last[k] / length, corner / length
+            y[k] /= length
+            y[:k] -= (cosines[k].conj() * last[:k] + sines[k] * column[:k]) * y[k]
+            last = cosines[k] * column[:k] - sines[k] * last[:k]
+        y[0] /= last[0]
+        for k in range(1, n):
+            y[k - 1], y[k] = sines[k] * y[k] + cosines[k] * y[k - 1], cosines[k].conj() * y[k] - sines[k] * y[k - 1]
+        return np.einsum("ki,ikm->km", c, y)
+
+
+def grid_of(poles: Array) -> Array:
+    """Frequencies for each row of poles: two decades around all of them, and close to each."""
+    sizes = np.abs(poles)
+    scale = sizes.max(axis=1, initial=1e-300)[:, None]
+    sizes = np.where(sizes > 1e-9 * scale, sizes, np.nan)
+    least = np.fmin.reduce(sizes, axis=1, initial=np.inf)
+    least = np.where(np.isfinite(least), least, 1.0)
+    most = np.where(scale[:, 0] > 0, scale[:, 0], 1.0)
+    along = np.linspace(0.0, 1.0, _POINTS)
+    wide = np.exp(np.log(least / 100)[:, None] * (1 - along) + np.log(most * 100)[:, None] * along)
+    near = np.where(np.isfinite(sizes), sizes, least[:, None])
+    near = (near[:, :, None] * np.array([0.94, 0.98, 1.0, 1.02, 1.06])).reshape(len(poles), -1)
+    return np.sort(np.concatenate([wide, near], axis=1), axis=1)
+
+
+class Channel:
+    """A response of all rows on their grids. at: the response of some rows at frequencies (rows, count)."""
+
+    def __init__(self, at: Response, omega: Array) -> None:
+        self.at, self.omega = at, omega
+        self.values = at(np.arange(len(omega)), omega)
+
+    def peaks(self, of: Callable[[Array], Array] = lambda response: response) -> tuple[Array, Array]:
+        """The largest |of(response)| of each row, and its frequency."""
+        omega, rows = self.omega, np.arange(len(self.omega))
+        sizes = np.abs(of(self.values))
+        at = np.argmax(np.nan_to_num(sizes, nan=-1.0), axis=1)
+        best, x = sizes[rows, at], np.log(omega[rows, at])
+        inside = np.clip(at, 1, omega.shape[1] - 2)
+        step = np.log(omega[rows, inside + 1] / omega[rows, inside - 1]) / 2
+        for _ in range(5):
+            points = x[:, None] + step[:, None] * np.array([-1.0, 0.0, 1.0])
+            values = np.log(np.maximum(np.abs(of(self.at(rows, np.exp(points)))), 1e-300))
+            bend = values[:, 0] - 2 * values[:, 1] + values[:, 2]
+            with np.errstate(all="ignore"):
+                move = np.where(bend < 0, 0.5 * (values[:, 0] - values[:, 2]) / bend, 0.0)
+            x = x + step * np.clip(move, -1.0, 1.0)
+            best = np.fmax(best, np.exp(values.max(axis=1)))
+            step = step / 4
+        return np.fmax(best, np.abs(of(self.at(rows, np.exp(x)[:, None])))[:, 0]), np.exp(x)
+
+    def crossings(self, of: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
+        """Where a real function of the response changes its sign: the rows, the frequencies, the responses there."""
+        values = of(self.values)
+        k, m = np.nonzero(values[:, :-1] * values[:, 1:] < 0)
+        a, b = np.log(self.omega[k, m]), np.log(self.omega[k, m + 1])
+        fa, fb = values[k, m], values[k, m + 1]
+        for _ in range(8):  # Illinois: a bracket by secants, where the end that stays loses half of its value
+            x = b - fb * (b - a) / np.where(fb == fa, 1.0, fb - fa)
+            fx = of(self.at(k, np.exp(x)[:, None]))[:, 0]
+            flips = fx * fb < 0
+            a, fa = np.where(flips, b, a), np.where(flips, fb, fa / 2)
+            b, fb = x, fx
+        w = np.exp(b)
+        return k, w, self.at(k, w[:, None])[:, 0]
+
+
+def margins_of(sensitivity: Channel, stable: Array) -> dict[str, Array]:
+    """Margins of each row, by the names and meanings of `margins`; nan where the closed loop is not stable.
+
+    gain: the smallest above 1, inf where there is none; gain_low: the largest below 1, 0 where there is none;
+    phase_deg, crossover, delay, Ms, Mt, disk.
+    """
+    count = len(stable)
+    Ms, _ = sensitivity.peaks()
+    Mt, _ = sensitivity.peaks(lambda S: 1 - S)
+    skew, _ = sensitivity.peaks(lambda S: 2 * S - 1)
+    gain, low = np.full(count, np.inf), np.zeros(count)
+    # L is real where S is. Far out L vanishes, and what is left of its imaginary part is rounding.
+    k, _, S = sensitivity.crossings(lambda S: np.where(np.abs(1 - S) < 1e-9, 0.0, S.imag))
+    with np.errstate(all="ignore"):
+        L = (1 / S - 1).real
+    real = L < -1e-9
+    k, factor = k[real], -1 / L[real]
+    up = factor >= 1
+    np.minimum.at(gain, k[up], factor[up])
+    np.maximum.at(low, k[~up], factor[~up])
+    phase, delay, crossover = np.full(count, np.inf), np.full(count, np.inf), np.full(count, np.nan)
+    # |L| = 1 where |1 - S| = |S|: where the real part of S is 1/2.
+    k, w, S = sensitivity.crossings(lambda S: S.real - 0.5)
+    angle = np.angle(1 - 1 / S)
+    np.minimum.at(delay, k, np.mod(angle, 2 * np.pi) / w)
+    order = np.argsort(-np.abs(angle), kind="stable")
+    phase[k[order]], crossover[k[order]] = np.degrees(angle[order]), w[order]
+    found = {
+        "gain": gain, "gain_low": low, "phase_deg": phase, "delay": delay, "crossover": crossover, "Ms": Ms, "Mt": Mt,
+        "disk": 2 / skew,
+    }  # fmt: skip
+    return {name: np.where(stable, values, np.nan) for name, values in found.items()}

@@ -1,0 +1,122 @@
+"""Linear models of one diagram for many rows of parameters at once: stacks of matrices.
+
+    stack = stacked(linearizer, rows, ["control.u"], ["control.u", "plant.y"])
+    stack.A[k]                                              # of the k-th row
+
+Signals stay at the operating point of the linearizer, so that the models of a diagram with laws that bend where it
+works are those of a fixed operating point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..compile.fmu_tape import FmuTape
+from ..text.arrays import Array
+from .elimination import Entries
+from .equation_matrix import wiring
+from .linearization import Linearization
+from .reduction import Wired, contributing, matrices_of, variables
+from .signals import Names
+from .slopes import partials_of_rows
+
+_NUMBERS = 2**22
+"""Numbers of the matrices that are eliminated at once."""
+
+
+@dataclass(frozen=True)
+class Stack:
+    """dx/dt = A x + B e, y = C x + D e for each row: (rows, n, n), (rows, n, inputs), ... dt: 0."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+
+def stacked(linearizer: Linearization, rows: Array, inputs: Names, outputs: Names, *, pade: int = 0) -> Stack | None:
+    """The models of `linearizer.transfer(inputs, outputs, pade=pade)` for many rows p of the Plan.
+
+    None where models cannot be stacked: sampled blocks or FMUs contribute, or delays are to stay exact. Raises
+    UsageError (E501), AnalysisError (E701, E703).
+    """
+    graph = linearizer.graph
+    if any(isinstance(group.type.tape, FmuTape) for group in graph.groups):
+        return None
+    ins, outs = linearizer.ends(inputs, outputs)
+    whole = wiring(linearizer, ins, outs, (), (), ())
+    partials = partials_of_rows(linearizer.slopes, rows)
+    for place in linearizer.described:
+        if (at := graph.entry_of.get(place)) is not None:
+            partials[at] = linearizer.data[at]
+    _, slots, values = linearizer.entries_of(partials)
+    values = values[whole.selects[slots] >= 0]
+    constant = whole.entries.values[len(values) :, None]
+    values = np.concatenate([values, np.broadcast_to(constant, (len(constant), len(rows)))])
+    if not np.isfinite(values).all():
+        return None
+    # What contributes in one of the rows is kept in all.
+    largest = replace(whole, entries=replace(whole.entries, values=np.abs(values).max(axis=1)))
+    kept = contributing(linearizer, largest)
+    x, d, h, z, e = variables(linearizer, largest, kept)
+    if d or (h and not pade):
+        return None
+    cells = [*x, *h, *z], [*x, *h, *e, *z]
+    place, n, r = _selection(whole.entries, *cells), len(x) + len(h), len(x) + len(h) + len(e)
+    shape = len(cells[0]), len(cells[1])
+    position = {c: k for k, c in enumerate(cells[1])}
+    measured = [position.get(m, -1) for m in whole.measured]
+    parts: list[tuple[Array, ...]] = []
+    chunk = max(1, _NUMBERS // max(1, shape[0] * shape[1]))
+    for begin in range(0, len(rows), chunk):
+        dense = np.moveaxis((place @ values[:, begin : begin + chunk]).reshape(*shape, -1), 2, 0)
+        try:
+            T = np.linalg.solve(np.eye(len(z)) - dense[:, n:, r:], dense[:, n:, :r])
+        except np.linalg.LinAlgError:
+            return None
+        dynamic = dense[:, :n, :r] + dense[:, :n, r:] @ T
+        full = np.concatenate([np.broadcast_to(np.eye(r), (len(dense), r, r)), T], axis=1)
+        seen = np.stack([full[:, m] if m >= 0 else np.zeros((len(dense), r)) for m in measured], axis=1)
+        both = np.concatenate([dynamic, seen], axis=1)
+        parts.append(_without_delays(linearizer, both, (len(x), len(h)), h, pade) if h else _split(both, len(x)))
+    return Stack(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _split(both: Array, n: int) -> tuple[Array, ...]:
+    return both[:, :n, :n], both[:, :n, n:], both[:, n:, :n], both[:, n:, n:]
+
+
+def _without_delays(
+    linearizer: Linearization, both: Array, sizes: tuple[int, int], histories: list[int], pade: int
+) -> tuple[Array, ...]:
+    """The matrices with Padé models in the place of delays."""
+    plan, (n, m) = linearizer.plan, sizes
+    first = linearizer.graph.first["h"]
+    made: list[tuple[Array, ...]] = []
+    cuts = {"x": slice(0, n), "h": slice(n, n + m), "e": slice(n + m, None), "y": slice(n + m, None)}
+    for one in both:
+        wired = Wired(
+            {(row, column): one[cuts[row], cuts[column]] for row in "xhy" for column in "xhe"}
+            | {(row, "d"): np.zeros((one[cuts[row]].shape[0], 0)) for row in "xhy"}
+            | {("d", column): np.zeros((0, one[:, cuts[column]].shape[1])) for column in "xhe"}
+            | {("d", "d"): np.zeros((0, 0))},
+            tuple(plan.states[:n]), (), tuple(c - first for c in histories),
+        )  # fmt: skip
+        matrices, _ = matrices_of(wired, plan, pade)
+        made.append(tuple(matrices[key] for key in ("xx", "xe", "yx", "ye")))
+    return tuple(np.stack(part) for part in zip(*made, strict=True))
+
+
+def _selection(entries: Entries, rows: list[int], columns: list[int]) -> object:
+    """The matrix from the values of entries to those of the cells of some rows and columns."""
+    from scipy import sparse
+
+    row_at, column_at = np.full(entries.size, -1, dtype=np.intp), np.full(entries.size, -1, dtype=np.intp)
+    row_at[rows], column_at[columns] = np.arange(len(rows)), np.arange(len(columns))
+    r, c = row_at[entries.rows], column_at[entries.columns]
+    keep = np.flatnonzero((r >= 0) & (c >= 0))
+    cells = r[keep] * len(columns) + c[keep]
+    shape = len(rows) * len(columns), len(entries.rows)
+    return sparse.csr_array((np.ones(len(keep)), (cells, keep)), shape=shape)
