@@ -17,6 +17,7 @@ _PLACES = {
         "analysis.estimation": "Chirp OddMultisine SineStream estimate_response",
         "analysis.operating": "find_operating_point limit_cycles operating_points",
         "analysis.responses": "Comparison Response compare",
+        "analysis.loop_maps": "LoopMap loop_map",
         "frequency.figures": "bode gang_of_four nichols nyquist pole_map sigma step_figure",
         "frequency.linear_adrc": (
             "Controller EulerCycle Gains SamplingLimits adrc_gains bandwidth_gains controller "

@@ -36,7 +36,7 @@ def ADRC(
     unit: str = "",
     unit_u: str = "",
 ) -> Subdiagram:
-    """A controller for a plant y^(order) = f + b0 u: `loop.add("control", ADRC(2, b0=1.8, omega_c=4))`.
+    """Return a controller for a plant y^(order) = f + b0 u: `loop.add("control", ADRC(2, b0=1.8, omega_c=4))`.
 
     It has the inputs r and y and the outputs u, z1, ..., z_{order+1}. Inside are the blocks `feedback` (LSEF), `limit`
     and `eso`, which gets the limited u. `.source` is the Diagram: change it, or save it as a file.
@@ -108,7 +108,9 @@ def _check(order: object, observer: object, by: object, derivatives: object) -> 
         refuse("order", order, "a whole number from 1 on")
     assert isinstance(order, int)
     if isinstance(observer, str) and observer not in OBSERVERS:
-        refuse("observer", observer, f"one of {', '.join(OBSERVERS)}, or a block class", did_you_mean(observer, OBSERVERS))
+        refuse(
+            "observer", observer, f"one of {', '.join(OBSERVERS)}, or a block class", did_you_mean(observer, OBSERVERS)
+        )
     if not isinstance(observer, str) and not (isinstance(observer, type) and issubclass(observer, Block)):
         refuse("observer", observer, f"one of {', '.join(OBSERVERS)}, or a block class")
     if by not in ("output", "error"):

@@ -1,8 +1,10 @@
-"""`blocks linearize, blocks observer`."""
+"""`blocks linearize, blocks observer, blocks adrc-map`."""
 
 from __future__ import annotations
 
 import argparse
+import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
@@ -56,7 +58,31 @@ def add(verbs: Verbs) -> None:
     amplitudes = 'amplitudes of the error, such as 0.1 or "2 rpm" (default: 0.001 0.01 0.1 1)'
     observer.add_argument("--amplitudes", metavar="A", nargs="+", help=amplitudes)
     observer.set_defaults(verb=_observer)
-    for verb in (linear, observer):
+
+    loop_map = verbs.add_parser(
+        "adrc-map",
+        help="margins, disturbance rejection and noise of a loop over two parameters",
+        description="Margins, disturbance rejection and noise of a loop over one or two parameters, from matrices: the "
+        "bandwidths of an ADRC, b0, a gain of the plant, or parameters of any other controller.",
+    )
+    loop_map.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    loop_map.add_argument("control", metavar="CONTROL", help="the signal at which the loop is opened: control.u")
+    loop_map.add_argument("output", metavar="OUTPUT", help="what is controlled: plant.y")
+    over = "a parameter and its range, or three or more values: control.omega_c=1,30"
+    takes_several(loop_map, "--over", "NAME=LOW,HIGH", over)
+    loop_map.add_argument("--points", metavar="N", type=int, default=60, help="values of each parameter (60)")
+    loop_map.add_argument("--measurement", metavar="SIGNAL", default="", help="where noise enters (OUTPUT)")
+    loop_map.add_argument("--disturbance", metavar="SIGNAL", default="", help="where the disturbance enters (CONTROL)")
+    loop_map.add_argument("--frequency", metavar="W", type=float, help="rad/s: add the rejection at this frequency")
+    limit = 'what is allowed: "Ms<1.6", "phase_deg>45"; the rest of the figure is shaded'
+    takes_several(loop_map, "--limit", "MEASURE<X", limit)
+    loop_map.add_argument("--best", metavar="MEASURE", help="print the point with the least value of this measure")
+    loop_map.add_argument("--pade", metavar="N", type=int, default=0, help="order of the Padé models of delays")
+    loop_map.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
+    loop_map.add_argument("-o", "--out", metavar="FILE", help="write all points as a table (.csv)")
+    takes_size(loop_map)
+    loop_map.set_defaults(verb=_map)
+    for verb in (linear, observer, loop_map):
         takes_point(verb)
         takes_library(verb)
         takes_json(verb, "one JSON object")
@@ -132,3 +158,67 @@ def _observer(options: argparse.Namespace) -> int:
     else:
         print(printable(str(report)))
     return 0
+
+
+def _map(options: argparse.Namespace) -> int:
+    from ..analysis.loop_maps import loop_map
+    from ..results import plots
+
+    for word, place in (("--plot", options.plot), ("--out", options.out)):
+        if place:
+            check_writable(word, place, [options.diagram])
+    if options.plot:
+        plots.check_format(options.plot)
+    if options.out and not options.out.endswith(".csv"):
+        raise UsageError(Fault("E501", f"--out {options.out}", "is no table: its name ends with .csv."))
+    look, limits = look_of(options), _limits(options.limit)
+    diagram, case, point = _linearizer(options)
+    found = loop_map(
+        diagram, options.control, options.output, case, over=_ranges(options.over), points=options.points,
+        measurement=options.measurement, disturbance=options.disturbance, frequency=options.frequency,
+        pade=options.pade, **point,
+    )  # fmt: skip
+    best = found.best(options.best, **limits) if options.best else {}
+    allowed = int(found.feasible(**limits).sum())
+    if options.json:
+        emit({**found.as_json(), "allowed": allowed, **({"best": best} if best else {})})
+    else:
+        print(printable(repr(found)))
+        if limits:
+            print(printable(f"  within {', '.join(options.limit)}: {allowed} points"))
+        if best:
+            print(printable(f"  least {options.best}: " + ", ".join(f"{name} = {x:.6g}" for name, x in best.items())))
+    if options.out:
+        found.to_csv(options.out)
+        say(f"table in {options.out}")
+    if options.plot:
+        plots.save(found.plot(limits=limits or None, **look), options.plot)
+        say(f"figure in {options.plot}")
+    return 0
+
+
+def _ranges(items: Sequence[str]) -> dict[str, list[float]]:
+    ranges = {}
+    for item in items:
+        name, _, text = item.partition("=")
+        try:
+            ranges[name.strip()] = [float(number) for number in text.split(",")]
+        except ValueError:
+            cure = "Example: --over control.omega_c=1,30."
+            raise UsageError(Fault("E501", f"--over {item}", "is not NAME=LOW,HIGH.", cure)) from None
+    return ranges
+
+
+def _limits(items: Sequence[str]) -> dict[str, tuple[float | None, float | None]]:
+    limits: dict[str, tuple[float | None, float | None]] = {}
+    for item in items:
+        match = re.fullmatch(r"\s*(\w+)\s*([<>])=?\s*(\S+)\s*", item)
+        try:
+            name, sign, number = match.groups() if match else ("", "", "")
+            value = float(number)
+        except ValueError:
+            cure = 'Example: --limit "Ms<1.6".'
+            raise UsageError(Fault("E501", f"--limit {item}", "is not MEASURE<X or MEASURE>X.", cure)) from None
+        low, high = limits.get(name, (None, None))
+        limits[name] = (value, high) if sign == ">" else (low, value)
+    return limits

@@ -86,9 +86,15 @@ def _new_controller(options: argparse.Namespace) -> int:
     assert not isinstance(made, str)
     if not options.dry_run:
         made.save(path)
-    print(printable(f"{path}{' would hold' if options.dry_run else ':'} a controller with the inputs r, y and the output u"))
+    print(
+        printable(
+            f"{path}{' would hold' if options.dry_run else ':'} a controller with the inputs r, y and the output u"
+        )
+    )
     numbers = "b0, omega_c, omega_o, lower, upper"
-    print(printable(f'next:\n  use it as a block: {{"diagram": "{path.name}", "parameters": {{"b0": 2, "omega_c": 4}}}}'))
+    print(
+        printable(f'next:\n  use it as a block: {{"diagram": "{path.name}", "parameters": {{"b0": 2, "omega_c": 4}}}}')
+    )
     print(printable(f"  its parameters: {numbers}"))
     return 0
 

@@ -20,29 +20,34 @@ _NUMBERS = 2**21
 Response = Callable[[Array, Array], Array]
 
 
-def responder(A: Array, B: Array, C: Array, D: Array) -> Response:
-    """Return the function of rows and frequencies [rad/s] (rows, count) that gives C (jw - A)^-1 B + D.
+class Loops:
+    """Systems with the same A for all their channels: (rows, n, n). dt: 0 for continuous ones."""
 
-    A: (rows, n, n); B: (rows, n), C: (rows, n), D: (rows): of one input and one output.
-    """
-    from scipy.linalg import hessenberg
+    def __init__(self, A: Array, dt: float = 0.0) -> None:
+        from scipy.linalg import hessenberg
 
-    n = A.shape[1]
-    H, q = np.empty_like(A), np.empty_like(A)
-    for k, matrix in enumerate(A):
-        H[k], q[k] = hessenberg(matrix, calc_q=True)
-    b, c = np.einsum("kji,kj->ki", q, B), np.einsum("kj,kji->ki", C, q)
+        self.dt, self.H, self.q = dt, np.empty_like(A), np.empty_like(A)
+        for k, matrix in enumerate(A):
+            self.H[k], self.q[k] = hessenberg(matrix, calc_q=True) if len(matrix) else (matrix, matrix)
 
-    def response(rows: Array, omega: Array) -> Array:
-        found = np.empty(omega.shape, dtype=complex)
-        chunk = max(1, _NUMBERS // max(1, n * omega.shape[1]))
-        for first in range(0, len(rows), chunk):
-            part = slice(first, first + chunk)
-            k = rows[part]
-            found[part] = _solved(H[k], b[k], c[k], 1j * omega[part]) + D[k][:, None]
-        return found
+    def response(self, B: Array, C: Array, D: Array) -> Response:
+        """Return the function of rows and frequencies [rad/s] (rows, count) that gives C (p - A)^-1 B + D.
 
-    return response
+        B: (rows, n), C: (rows, n), D: (rows): of one input and one output. p is jw, or exp(jw dt).
+        """
+        b, c = np.einsum("kji,kj->ki", self.q, B), np.einsum("kj,kji->ki", C, self.q)
+
+        def response(rows: Array, omega: Array) -> Array:
+            found = np.empty(omega.shape, dtype=complex)
+            chunk = max(1, _NUMBERS // max(1, b.shape[1] * omega.shape[1]))
+            for first in range(0, len(rows), chunk):
+                part = slice(first, first + chunk)
+                k, p = rows[part], 1j * omega[part]
+                p = np.exp(1j * np.minimum(omega[part] * self.dt, np.pi)) if self.dt else p
+                found[part] = _solved(self.H[k], b[k], c[k], p) + D[k][:, None]
+            return found
+
+        return response
 
 
 def _solved(H: Array, b: Array, c: Array, p: Array) -> Array:
@@ -69,11 +74,14 @@ def _solved(H: Array, b: Array, c: Array, p: Array) -> Array:
         y[0] /= last[0]
         for k in range(1, n):
             y[k - 1], y[k] = sines[k] * y[k] + cosines[k] * y[k - 1], cosines[k].conj() * y[k] - sines[k] * y[k - 1]
-        return np.einsum("ki,ikm->km", c, y)
+        found: Array = np.einsum("ki,ikm->km", c, y)
+        return found
 
 
-def grid_of(poles: Array) -> Array:
-    """Frequencies for each row of poles: two decades around all of them, and close to each."""
+def grid_of(poles: Array, dt: float = 0.0) -> Array:
+    """Frequencies for each row of poles [1/s]: two decades around all of them, and close to each; up to pi/dt."""
+    if dt:
+        poles = np.where(np.abs(poles) < np.pi / dt, poles, 0.0)
     sizes = np.abs(poles)
     scale = sizes.max(axis=1, initial=1e-300)[:, None]
     sizes = np.where(sizes > 1e-9 * scale, sizes, np.nan)
@@ -84,7 +92,11 @@ def grid_of(poles: Array) -> Array:
     wide = np.exp(np.log(least / 100)[:, None] * (1 - along) + np.log(most * 100)[:, None] * along)
     near = np.where(np.isfinite(sizes), sizes, least[:, None])
     near = (near[:, :, None] * np.array([0.94, 0.98, 1.0, 1.02, 1.06])).reshape(len(poles), -1)
-    return np.sort(np.concatenate([wide, near], axis=1), axis=1)
+    omega = np.concatenate([wide, near], axis=1)
+    if dt:
+        omega = np.concatenate([omega, np.geomspace(1e-3, 1.0, 40) * np.full((len(poles), 1), np.pi / dt)], axis=1)
+        omega = np.minimum(omega, np.pi / dt)
+    return np.sort(omega, axis=1)
 
 
 class Channel:
@@ -92,7 +104,10 @@ class Channel:
 
     def __init__(self, at: Response, omega: Array) -> None:
         self.at, self.omega = at, omega
-        self.values = at(np.arange(len(omega)), omega)
+        rows = np.arange(len(omega))
+        self.values = at(rows, omega)
+        # As good as 0 and as good as infinity, where suprema lie that no frequency reaches.
+        self.ends = at(rows, np.stack([1e-8 * omega[:, 0], 1e8 * omega[:, -1]], axis=1))
 
     def peaks(self, of: Callable[[Array], Array] = lambda response: response) -> tuple[Array, Array]:
         """The largest |of(response)| of each row, and its frequency."""
@@ -101,7 +116,7 @@ class Channel:
         at = np.argmax(np.nan_to_num(sizes, nan=-1.0), axis=1)
         best, x = sizes[rows, at], np.log(omega[rows, at])
         inside = np.clip(at, 1, omega.shape[1] - 2)
-        step = np.log(omega[rows, inside + 1] / omega[rows, inside - 1]) / 2
+        step = np.maximum(np.log(omega[rows, inside + 1] / omega[rows, inside - 1]) / 2, 1e-9)
         for _ in range(5):
             points = x[:, None] + step[:, None] * np.array([-1.0, 0.0, 1.0])
             values = np.log(np.maximum(np.abs(of(self.at(rows, np.exp(points)))), 1e-300))
@@ -111,7 +126,11 @@ class Channel:
             x = x + step * np.clip(move, -1.0, 1.0)
             best = np.fmax(best, np.exp(values.max(axis=1)))
             step = step / 4
-        return np.fmax(best, np.abs(of(self.at(rows, np.exp(x)[:, None])))[:, 0]), np.exp(x)
+        best = np.fmax(best, np.abs(of(self.at(rows, np.exp(x)[:, None])))[:, 0])
+        for size, frequency in zip(np.abs(of(self.ends)).T, (-np.inf, np.inf), strict=True):
+            x = np.where(size > best, frequency, x)
+            best = np.fmax(best, size)
+        return best, np.exp(x)
 
     def crossings(self, of: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
         """Where a real function of the response changes its sign: the rows, the frequencies, the responses there."""

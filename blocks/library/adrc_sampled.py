@@ -90,7 +90,8 @@ def _of_u(order, period, observer, feedback, b0, alpha, beta):
 
     n = order + 1
     of_y = _times_chain(order, [pushed(k, 0) for k in range(n)])
-    of_z = _times_chain(order, [_dot([feedback[i] for i in range(order)], [pushed(k, i) for i in range(order)]) for k in range(n)])
+    weights = [feedback[i] for i in range(order)]
+    of_z = _times_chain(order, [_dot(weights, [pushed(k, i) for i in range(order)]) for k in range(n)])
     known, seen = [1.0, *[alpha[k] for k in range(order)]], [beta[k] for k in range(n)]
     product = [_dot(of_z[: k + 1], known[k::-1]) - _dot(of_y[: k + 1], seen[k::-1]) for k in range(n)]
     back = [math.comb(order + k, k) for k in range(n)]

@@ -81,7 +81,7 @@ def contributing(replaced: ReplacedSlopes, wiring: Wiring) -> Array:
 
 def variables(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> tuple[list[int], ...]:
     """What contributes: states, places in d, histories, what lies between, and the perturbations."""
-    graph, first, sizes = replaced.graph, replaced.graph.first, replaced.graph.sizes
+    first, sizes = replaced.graph.first, replaced.graph.sizes
     x = [*range(first["x"], first["x"] + sizes["x"]), *range(wiring.states, wiring.size)]
     given = {column for columns in replaced.given.values() for column in columns}
     x = [c for c in x if kept[c] and c not in given]

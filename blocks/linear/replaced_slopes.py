@@ -197,8 +197,8 @@ class ReplacedSlopes:
         if self.extra:
             keys = np.array(list(self.extra), dtype=np.intp)
             rows, slots = np.concatenate([rows, keys[:, 0]]), np.concatenate([slots, keys[:, 1]])
-            extra = np.array(list(self.extra.values()))
-            data = np.concatenate([data, np.broadcast_to(extra.reshape(-1, *[1] * (data.ndim - 1)), (len(extra), *data.shape[1:]))])
+            extra = np.array(list(self.extra.values())).reshape(-1, *[1] * (data.ndim - 1))
+            data = np.concatenate([data, np.broadcast_to(extra, (len(extra), *data.shape[1:]))])
         keep = (graph.variable[rows] >= 0) & ~self.slopes.off[rows]
         if self.overridden:
             owners = np.array([node.instance for node in graph.nodes], dtype=np.intp)

@@ -10,6 +10,7 @@ works are those of a fixed operating point.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,12 +29,13 @@ _NUMBERS = 2**22
 
 @dataclass(frozen=True)
 class Stack:
-    """dx/dt = A x + B e, y = C x + D e for each row: (rows, n, n), (rows, n, inputs), ... dt: 0."""
+    """dx/dt = A x + B e, y = C x + D e for each row: (rows, n, n), (rows, n, inputs), ...; with dt, x at ticks."""
 
     A: Array
     B: Array
     C: Array
     D: Array
+    dt: float = 0.0
 
 
 def stacked(linearizer: Linearization, rows: Array, inputs: Names, outputs: Names, *, pade: int = 0) -> Stack | None:
@@ -81,7 +83,8 @@ def stacked(linearizer: Linearization, rows: Array, inputs: Names, outputs: Name
         seen = np.stack([full[:, m] if m >= 0 else np.zeros((len(dense), r)) for m in measured], axis=1)
         both = np.concatenate([dynamic, seen], axis=1)
         parts.append(_without_delays(linearizer, both, (len(x), len(h)), h, pade) if h else _split(both, len(x)))
-    return Stack(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    A, B, C, D = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Stack(A, B, C, D)
 
 
 def _split(both: Array, n: int) -> tuple[Array, ...]:
@@ -109,7 +112,7 @@ def _without_delays(
     return tuple(np.stack(part) for part in zip(*made, strict=True))
 
 
-def _selection(entries: Entries, rows: list[int], columns: list[int]) -> object:
+def _selection(entries: Entries, rows: list[int], columns: list[int]) -> Any:
     """The matrix from the values of entries to those of the cells of some rows and columns."""
     from scipy import sparse
 

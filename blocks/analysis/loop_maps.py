@@ -1,0 +1,334 @@
+"""Maps of a loop: its margins, disturbance rejection and noise over two parameters, from matrices alone.
+
+found = loop_map(loop, "control.u", "plant.y", over={"control.omega_c": (1, 30), "control.omega_o": (5, 300)})
+found.best("disturbance", Ms=(None, 1.6), noise=(None, 200))
+found.plot("Ms", "disturbance", "noise", limits={"Ms": (None, 1.6)})
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+
+from ..api.case import Case, PointWords, takes
+from ..api.diagram import Diagram
+from ..compile.bindings import bindings
+from ..compile.plan import Plan
+from ..engines.prepared import Prepared
+from ..frequency.many import Channel, Loops, grid_of, margins_of
+from ..linear.harmonic_balance import Linearizer
+from ..linear.stacked import Stack, stacked
+from ..model.resolver import resolver_of
+from ..results.plots import Look
+from ..text.arrays import Array
+from ..text.atomic_write import write_atomically
+from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
+from ..text.rich_output import Shown, Table
+from ..text.units import from_si
+
+if TYPE_CHECKING:
+    from ..linear.operating_point import OperatingPoint
+    from ..results.figure import Figure
+
+MEASURES = {
+    "gain": "gain margin", "gain_low": "gain margin below 1", "phase_deg": "phase margin, deg",
+    "delay": "delay margin, s", "crossover": "crossover, rad/s", "Ms": "Ms, largest |S|", "Mt": "Mt, largest |T|",
+    "disk": "disk margin", "disturbance": "largest |disturbance → output|",
+    "noise": "largest |noise → control|", "at_frequency": "|disturbance → output| at the frequency",
+}  # fmt: skip
+"""What a map has, and how a figure calls it."""
+_MOST = 250_000
+_CHECKED = 1e-8
+_SHOWN = ("Ms", "phase_deg", "disturbance", "noise")
+Limits = Mapping[str, tuple[float | None, float | None]]
+
+
+@dataclass(frozen=True, repr=False)
+class LoopMap(Shown):
+    """A loop over one or two parameters.
+
+    parameters: their names; values: those of each, in their declared units; units: these. measures: by name, (values of
+    the first) or (values of the second, values of the first), nan where the closed loop is not stable. present: what
+    the diagram has. frequency: of `at_frequency`, rad/s.
+    """
+
+    diagram: str
+    control: str
+    output: str
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    values: tuple[Array, ...]
+    measures: Mapping[str, Array]
+    present: tuple[float, ...]
+    frequency: float | None
+
+    def feasible(self, **limits: tuple[float | None, float | None]) -> Array:
+        """Where the closed loop is stable and each measure lies within (least, most); None is no limit."""
+        return self._slack(limits) >= 0
+
+    def _slack(self, limits: Limits) -> Array:
+        """How far each point is within the nearest limit, relative to it; below 0 outside and where it is unstable."""
+        slack = np.where(np.isfinite(self.measures["Ms"]), np.inf, -1.0)
+        for name, ends in limits.items():
+            values = self._measure(name)
+            try:
+                low, high = (None if end is None else float(end) for end in ends)
+            except (TypeError, ValueError):
+                message = f"must be (least, most), not {str(ends)[:80]}."
+                raise UsageError(Fault("E501", f"limit of {name}", message, f"Example: {name}=(None, 2).")) from None
+            for end, sign in ((low, 1.0), (high, -1.0)):
+                if end is not None:
+                    slack = np.fmin(slack, sign * (values - end) / (abs(end) or 1.0))
+        return slack
+
+    def best(self, minimize: str, **limits: tuple[float | None, float | None]) -> dict[str, float]:
+        """The parameters with the least value of a measure where all others lie within (least, most).
+
+        Raises AnalysisError (E705) where nothing does.
+        """
+        values = np.where(self.feasible(**limits), self._measure(minimize), np.nan)
+        if not np.isfinite(values).any():
+            message = "no point of the map is stable and within the limits."
+            raise AnalysisError(Fault("E705", self.diagram, message, "Widen the ranges or the limits."))
+        return self._place(np.unravel_index(int(np.nanargmin(values)), values.shape))
+
+    def plot(self, *measures: str, limits: Limits | None = None, **look: Unpack[Look]) -> Figure:
+        """Draw measures as contours over both parameters, or as curves over one.
+
+        limits: the region where all lie within (least, most) stays clear, the rest is shaded. The present point is a
+        cross. Raises UsageError (E501).
+        """
+        from .map_figure import drawn
+
+        names = measures or tuple(name for name in _SHOWN if name in self.measures)
+        for name in names:
+            self._measure(name)
+        return drawn(self, names, None if limits is None else self._slack(limits), MEASURES, look)
+
+    def as_json(self) -> dict[str, Any]:
+        """The map as JSON data: the values of the parameters, and tables of measures with null for no number."""
+        tables = {name: _finite(values.tolist()) for name, values in self.measures.items()}
+        given = dict(zip(self.parameters, (values.tolist() for values in self.values), strict=True))
+        return {"diagram": self.diagram, "parameters": given, "measures": tables}
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write every point as a row: the parameters, then the measures (nan where the loop is not stable).
+
+        Raises UsageError (E501) where it cannot be written.
+        """
+        lines = [",".join([*self.parameters, *self.measures])]
+        for place in np.ndindex(*self.measures["Ms"].shape):
+            numbers = [*self._place(place).values(), *(float(values[place]) for values in self.measures.values())]
+            lines.append(",".join(map(repr, numbers)))
+        with write_atomically(path) as stream:
+            stream.write("\n".join(lines) + "\n")
+
+    def parts(self) -> Iterator[Any]:
+        shape = " x ".join(str(len(values)) for values in self.values)
+        stable = int(np.isfinite(self.measures["Ms"]).sum())
+        yield f"{self.diagram}: loop at {self.control}, {shape} points, {stable} of {self.measures['Ms'].size} stable"
+        known = {MEASURES[name]: values[np.isfinite(values)] for name, values in self.measures.items()}
+        rows = [(name, f"{values.min():.4g}", f"{values.max():.4g}") for name, values in known.items() if len(values)]
+        yield Table([("measure", "least", "largest"), *rows])
+
+    def _measure(self, name: str) -> Array:
+        if name not in self.measures:
+            cure = did_you_mean(name, self.measures) or f"Measures: {', '.join(self.measures)}."
+            raise UsageError(Fault("E501", name, "is not a measure of the map.", cure))
+        return self.measures[name]
+
+    def _place(self, place: Sequence[Any]) -> dict[str, float]:
+        order = reversed(place) if len(self.parameters) == 2 else iter(place)
+        return {name: float(values[k]) for name, values, k in zip(self.parameters, self.values, order, strict=True)}
+
+
+@takes(PointWords)
+def loop_map(
+    diagram: Diagram,
+    control: str,
+    output: str,
+    case: Case | None = None,
+    *,
+    over: Mapping[str, object],
+    points: int = 60,
+    measurement: str = "",
+    disturbance: str = "",
+    frequency: float | None = None,
+    pade: int = 0,
+    amplitude: Mapping[str, object] | None = None,
+    sigma: Mapping[str, object] | None = None,
+    at: OperatingPoint | float | None = None,
+    **words: Unpack[PointWords],
+) -> LoopMap:
+    """The margins and peaks of `loop_report` over one or two parameters: bandwidths, b0, a gain of the plant.
+
+    over: by parameter, (lowest, highest), between which `points` values lie by equal factors (by equal steps from 0 or
+    below on), or a list of more values, in the declared unit. control: the signal at which the loop is opened; output:
+    what is controlled. measurement: where noise enters; without it, `output` as all see it. disturbance: an input of
+    the diagram or a signal; without it, what is added to the control. frequency: in rad/s, for the measure
+    `at_frequency`. pade: the order of models of exact delays. The others are as of `Diagram.linearizer`.
+
+    Continuous loops are computed all at once, seconds for 100 x 100 points; sampled loops one by one. Laws that bend
+    are taken at the operating point of each point of the map.
+
+    Raises UsageError (E501), AnalysisError (E701 to E707).
+    """
+    names, values = tuple(over), tuple(_axis(name, given, points) for name, given in over.items())
+    if not 1 <= len(names) <= 2:
+        raise UsageError(Fault("E501", "over", f"names {len(names)} parameters.", "Give one or two."))
+    count = math.prod(map(len, values))
+    if count > _MOST:
+        raise UsageError(Fault("E501", "over", f"asks for {count} points.", f"Give {_MOST} at most."))
+    measured, enters = measurement or output, disturbance or control
+    ends = list(dict.fromkeys((control, enters, measured))), list(dict.fromkeys((control, output)))
+    point: dict[str, Any] = {"at": at, "amplitude": amplitude, "sigma": sigma}
+    case = Case() if case is None else case
+    case = case.updated(**words) if words else case
+    each = [dict(zip(names, row, strict=True)) for row in _rows(values)]
+    linearizer = _at(diagram, case, each[0], point)
+    stack = _at_once(diagram, case, each, linearizer, ends, pade, point)
+    if stack is None:
+        stack = _one_by_one(diagram, case, each, ends, pade, point)
+    found = _measures(stack, ends, (control, output, measured, enters), frequency)
+    shape = tuple(len(each) for each in reversed(values))
+    given, units = _present(diagram, case, names)
+    return LoopMap(
+        diagram.name, control, output, names, units, values,
+        {name: numbers.reshape(shape) for name, numbers in found.items()}, given, frequency,
+    )  # fmt: skip
+
+
+def _rows(values: tuple[Array, ...]) -> Iterator[tuple[float, ...]]:
+    """Every combination, the first parameter changing fastest."""
+    for row in itertools.product(*(each.tolist() for each in reversed(values))):
+        yield row[::-1]
+
+
+def _axis(name: str, given: object, points: int) -> Array:
+    if isinstance(points, bool) or not isinstance(points, int) or points < 2:
+        raise UsageError(Fault("E501", "points", f"must be a whole number from 2 on, not {points!r}."))
+    try:
+        values = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.ndim != 1 or len(values) < 2 or not np.isfinite(values).all() or (np.diff(values) <= 0).any():
+        message = f"must be (lowest, highest), or rising numbers, not {str(given)[:80]}."
+        raise UsageError(Fault("E501", f"over {name}", message, f'Example: over={{"{name}": (1, 100)}}.'))
+    if len(values) > 2:
+        return values
+    low, high = values.tolist()
+    return np.geomspace(low, high, points) if low > 0 else np.linspace(low, high, points)
+
+
+def _at(diagram: Diagram, case: Case, given: Mapping[str, float], point: Mapping[str, Any]) -> Linearizer:
+    return diagram.linearizer(case.updated(parameters={**case.parameters, **given}), **point)
+
+
+def _at_once(
+    diagram: Diagram,
+    case: Case,
+    each: Sequence[Mapping[str, float]],
+    linearizer: Linearizer,
+    ends: tuple[list[str], list[str]],
+    pade: int,
+    point: Mapping[str, Any],
+) -> Stack | None:
+    """The models of all points from the rows p of one Plan; None where that is not what single points give."""
+    plan = linearizer.plan
+    value, resolver = case.of(diagram.value), resolver_of({**diagram.types})
+    given = {**case.parameters, **each[0]}
+    prepared = Prepared.of(value, resolver, given, case.settings, trust=case.trust)
+    if not isinstance(prepared.plan, Plan) or len(prepared.plan.parameters) != len(plan.parameters):
+        return None
+    rebinding, seed = prepared.rebinding(), plan.settings.seed
+    if not rebinding.is_possible:
+        return None
+    rows = [rebinding.row({**given, **one}, seed) for one in each]
+    known = [row for row in rows if row is not None]
+    if len(known) < len(rows) or known[0] != tuple(plan.parameters):
+        return None
+    stack = stacked(linearizer, np.array(known), *ends, pade=pade)
+    if stack is None:
+        return None
+    for k in {0, len(each) // 3, (2 * len(each)) // 3, len(each) - 1}:
+        single = _at(diagram, case, each[k], point).transfer(*ends, pade=pade)
+        if not all(_is_equal(getattr(single, key), getattr(stack, key)[k]) for key in "ABCD"):
+            return None
+    return stack
+
+
+def _is_equal(one: Array, other: Array) -> bool:
+    if one.shape != other.shape:
+        return False
+    return bool(np.abs(one - other).max(initial=0.0) <= _CHECKED * np.abs(one).max(initial=0.0))
+
+
+def _one_by_one(
+    diagram: Diagram,
+    case: Case,
+    each: Sequence[Mapping[str, float]],
+    ends: tuple[list[str], list[str]],
+    pade: int,
+    point: Mapping[str, Any],
+) -> Stack:
+    models = [_at(diagram, case, one, point).transfer(*ends, pade=pade) for one in each]
+    if len({(model.A.shape, model.dt) for model in models}) > 1:
+        message = "has other states or periods at other points of the map, so that it has no map."
+        raise AnalysisError(Fault("E705", diagram.name, message, "Choose ranges without 0, or other parameters."))
+    A, B, C, D = (np.stack([getattr(model, key) for model in models]) for key in "ABCD")
+    return Stack(A, B, C, D, models[0].dt)
+
+
+def _measures(
+    stack: Stack, ends: tuple[list[str], list[str]], signals: tuple[str, ...], frequency: float | None
+) -> dict[str, Array]:
+    control, output, measured, enters = signals
+    ins, outs = ends
+    poles = np.linalg.eigvals(stack.A) if stack.A.shape[1] else np.zeros((len(stack.A), 0), dtype=complex)
+    if stack.dt:
+        stable = (np.abs(poles) < 1).all(axis=1)
+        with np.errstate(all="ignore"):
+            poles = np.log(poles.astype(complex)) / stack.dt
+    else:
+        stable = (poles.real < 0).all(axis=1)
+    omega, loops = grid_of(poles, stack.dt), Loops(stack.A, stack.dt)
+
+    def channel(source: str, sink: str) -> Channel:
+        i, o = ins.index(source), outs.index(sink)
+        return Channel(loops.response(stack.B[:, :, i], stack.C[:, o], stack.D[:, o, i]), omega)
+
+    found = margins_of(channel(control, control), np.asarray(stable))
+    rejection = channel(enters, output)
+    found["disturbance"] = np.where(stable, rejection.peaks()[0], np.nan)
+    found["noise"] = np.where(stable, channel(measured, control).peaks()[0], np.nan)
+    if frequency is not None:
+        at = np.full((len(omega), 1), float(frequency))
+        found["at_frequency"] = np.where(stable, np.abs(rejection.at(np.arange(len(omega)), at))[:, 0], np.nan)
+    return found
+
+
+def _present(diagram: Diagram, case: Case, names: tuple[str, ...]) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """What the diagram has for the parameters, in their declared units, and these; nan for what is no one number."""
+    now = case.only("parameters", "variants", "trust")
+    settings = {setting.path: setting for setting in bindings(diagram.flatten(now), None)}
+    found: list[float] = []
+    units: list[str] = []
+    for name in names:
+        setting = settings.get(name)
+        unit = "" if setting is None else setting.display or setting.unit
+        is_number = setting is not None and len(setting.values) == 1 and not isinstance(setting.values[0], str)
+        found.append(from_si(float(setting.values[0]), unit) if setting is not None and is_number else math.nan)
+        units.append(unit)
+    return tuple(found), tuple(units)
+
+
+def _finite(values: Any) -> Any:
+    if isinstance(values, list):
+        return [_finite(value) for value in values]
+    return values if math.isfinite(values) else None
