@@ -22,7 +22,7 @@ _PLACES = {
         "frequency.linear_adrc": (
             "Controller EulerCycle Gains SamplingLimits adrc_gains bandwidth_gains controller "
             "disturbance_bandwidth disturbance_estimate equivalent_bandwidth euler_cycles half_gain "
-            "half_gain_poles noise_gain observer sampling_limits"
+            "half_gain_poles noise_gain observer sampling_limits settling_bandwidth settling_time"
         ),
         "frequency.disk": "DiskMargins disk_margins",
         "frequency.margins": "Margins margins",

@@ -7,6 +7,7 @@ from typing import Any
 from ..contract.block import Block
 from ..contract.variables import UNLIMITED
 from ..library import LIBRARY
+from ..model.values import in_si
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
 from .diagram import Diagram, Subdiagram
@@ -49,15 +50,17 @@ def ADRC(
     observer gets u this much later. filter: time constant of a low-pass filter of what is measured, s. lower, upper:
     limits of u. unit, unit_u: of y and of u.
 
-    Numbers may be quantities ("4 rad/s") and stay parameters of the diagram: `control.omega_c` can be swept and tuned.
+    Bandwidths and times may be quantities ("4 rad/s", "5 ms"). All numbers stay parameters of the diagram:
+    `control.omega_c` can be swept and tuned.
 
     Raises UsageError (E501).
     """
     _check(order, observer, by, derivatives)
     d = Diagram("adrc")
     d.parameter("b0", b0, doc=f"what u adds to the derivative of y of order {order}")
-    d.parameter("omega_c", omega_c, unit="rad/s", doc="bandwidth of the loop")
-    d.parameter("omega_o", "=5*omega_c" if omega_o is None else omega_o, unit="rad/s", doc="bandwidth of the observer")
+    speeds = {"omega_c": (omega_c, "loop"), "omega_o": ("=5*omega_c" if omega_o is None else omega_o, "observer")}
+    for name, (speed, of) in speeds.items():
+        d.parameter(name, _in_si(speed, "rad/s", name), unit="rad/s", doc=f"bandwidth of the {of}")
     d.parameter("lower", lower, doc="smallest u")
     d.parameter("upper", upper, doc="largest u")
     units = {
@@ -80,13 +83,15 @@ def ADRC(
         for k in range(2, derivatives + 2):
             d.wire(f"feedback.r{k}", d.input(f"r{k}", doc=f"derivative of r of order {k - 1}"))
     if filter is not None:
-        time = d.parameter("T_f", filter, unit="s", doc="time constant of the filter of what is measured")
+        time = d.parameter(
+            "T_f", _in_si(filter, "s", "filter"), unit="s", doc="time constant of the filter of what is measured"
+        )
         smooth = d.add("filter", LIBRARY["FirstOrder"](T=time, unit="=unit", unit_u="=unit"))
         d.wire(smooth.u, seen)
         seen = smooth.y
     known = limit.y
     if delay is not None:
-        time = d.parameter("delay", delay, unit="s", doc="dead time of the plant")
+        time = d.parameter("delay", _in_si(delay, "s", "delay"), unit="s", doc="dead time of the plant")
         late = d.add("late", LIBRARY["TransportDelay"](delay=time, unit="=unit_u"))
         d.wire(late.u, limit.y)
         known = late.y
@@ -119,6 +124,17 @@ def _check(order: object, observer: object, by: object, derivatives: object) -> 
     if not isinstance(derivatives, int) or isinstance(derivatives, bool) or not 0 <= derivatives <= most:
         cure = 'With by="error" the observer estimates them.' if by == "error" else ""
         refuse("derivatives", derivatives, f"a whole number from 0 to {most}", cure)
+
+
+def _in_si(value: object, unit: str, name: str) -> object:
+    """Return the number of a quantity; an expression stays. Raises UsageError (E501)."""
+    if isinstance(value, str) and value.startswith("="):
+        return value
+    try:
+        return float(in_si(value, unit, f"ADRC {name}"))
+    except (TypeError, ValueError):
+        message = f"must be a number, or a quantity in {unit}, not {legible(repr(value)[:80])}."
+        raise UsageError(Fault("E501", f"ADRC {name}", message)) from None
 
 
 def _observer(observer: str | type[Block], given: dict[str, Any]) -> Block:

@@ -118,6 +118,28 @@ def half_gain_poles(m: int, w: float) -> Array:
     return np.asarray(-0.5 * w * (1.0 + 1j * imaginary))
 
 
+def settling_bandwidth(n: int, time: float, band: float = 0.02) -> float:
+    """wc [rad/s] for which a step of r settles within `band` after a time [s]: n poles at -wc, the estimates right.
+
+    1 - y = exp(-x) (1 + x + ... + x^(n-1)/(n-1)!) with x = wc t: near 4/time for n = 1 and 6/time for n = 2. Raises
+    UsageError (E501).
+    """
+    return _settled(n, band) / _positive(time, "time")
+
+
+def settling_time(n: int, wc: float, band: float = 0.02) -> float:
+    """The time [s] after which a step of r has settled within `band`: see `settling_bandwidth`."""
+    return _settled(n, band) / _positive(wc, "wc")
+
+
+def _settled(n: int, band: float) -> float:
+    from scipy.special import gammainccinv
+
+    if not 0 < _number(band) < 1:
+        raise UsageError(Fault("E501", "band", f"must lie between 0 and 1, not {band!r}."))
+    return float(gammainccinv(_order(n), band))
+
+
 def equivalent_bandwidth(n: int, w3db: float) -> float:
     """wo [rad/s] of the observer with all poles at -wo whose f -> z_{n+1} has the bandwidth w3db [rad/s].
 

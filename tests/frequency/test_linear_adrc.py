@@ -30,6 +30,8 @@ from blocks.frequency.linear_adrc import (
     noise_gain,
     observer,
     sampling_limits,
+    settling_bandwidth,
+    settling_time,
 )
 from blocks.frequency.margins import margins
 from blocks.frequency.response import bandwidth, h2, peak, response
@@ -524,3 +526,21 @@ def test_what_cannot_be_meant_is_refused(call: Callable[[], Any], text: str) -> 
     with pytest.raises(UsageError) as caught:
         call()
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+@pytest.mark.parametrize("band", [0.02, 0.05])
+def test_a_bandwidth_for_a_settling_time_is_that_of_the_step_response(n: int, band: float) -> None:
+    wc = settling_bandwidth(n, 2.0, band)
+    assert settling_time(n, wc, band) == pytest.approx(2.0, rel=1e-14)
+    poles = control.tf([wc**n], np.poly([-wc] * n))
+    t, y = control.step_response(poles, np.linspace(0.0, 4.0, 4001))
+    assert np.abs(y[t > 2.001] - 1).max() < band < np.abs(y[t < 1.999] - 1)[-1]
+    assert settling_bandwidth(1, 2.0, band) == pytest.approx(-np.log(band) / 2.0, rel=1e-14)
+
+
+@pytest.mark.parametrize("given", [(0, 1.0, 0.02), (1, 0.0, 0.02), (1, 1.0, 0.0), (1, 1.0, 1.0), (1, 1.0, "x")])
+def test_a_settling_time_that_cannot_be_is_refused(given: tuple[Any, Any, Any]) -> None:
+    with pytest.raises(UsageError) as refused:
+        settling_bandwidth(*given)
+    assert refused.value.code == "E501"

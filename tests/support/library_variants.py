@@ -140,7 +140,7 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("Gain", {"unit": "V", "unit_u": "rad/s"}),
     ("GeneralizedESO", {"bandwidth": 20.0}),
     ("GeneralizedESO", {"bandwidth": 20.0, "order": 1, "extension": 3, "unit": "m", "unit_u": "A", "b0": -2.0}),
-    ("GeneralizedESO", {"bandwidth": 20.0, "extension": 1, "frequencies": [2.0, 5.0]}),
+    ("GeneralizedESO", {"bandwidth": 3.0, "extension": 1, "frequencies": [2.0, 5.0]}),
     ("GeneralizedESO", {"order": 1, "extension": 1, "gains": [4.0, 9.0], "x_start": [1.0, 2.0]}),
     ("INLSEF", {}),
     ("INLSEF", {"unit": "rad/s", "unit_u": "V"}),
