@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -16,15 +16,29 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..results.figure import Figure
-    from .loop_maps import LoopMap
 
 _LEVELS = 8
 _LARGE = 20.0
 """The ratio from which on values are drawn by equal factors."""
 
 
+class Mapped(Protocol):
+    """What is drawn: a `LoopMap`."""
+
+    @property
+    def parameters(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+    @property
+    def values(self) -> tuple[Array, ...]: ...
+    @property
+    def measures(self) -> Mapping[str, Array]: ...
+    @property
+    def present(self) -> tuple[float, ...]: ...
+
+
 @defaults()
-def drawn(found: LoopMap, names: Sequence[str], slack: Array | None, titles: Mapping[str, str], look: Look) -> Figure:
+def drawn(found: Mapped, names: Sequence[str], slack: Array | None, titles: Mapping[str, str], look: Look) -> Figure:
     """Return the figure of some measures. slack: at least 0 in the region that stays clear."""
     is_plane = len(found.parameters) == 2
     columns = min(2, len(names)) if is_plane else 1
@@ -55,7 +69,7 @@ def _scale(axis: Axes, which: str, values: Array) -> None:
         (axis.set_xscale if which == "x" else axis.set_yscale)("log")
 
 
-def _plane(axis: Axes, found: LoopMap, values: Array, slack: Array | None) -> None:
+def _plane(axis: Axes, found: Mapped, values: Array, slack: Array | None) -> None:
     x, y = found.values
     _scale(axis, "x", x)
     _scale(axis, "y", y)
@@ -105,7 +119,7 @@ def _short(value: float) -> str:
     return f"{value:g}"
 
 
-def _curve(axis: Axes, found: LoopMap, values: Array, slack: Array | None) -> None:
+def _curve(axis: Axes, found: Mapped, values: Array, slack: Array | None) -> None:
     (x,) = found.values
     _scale(axis, "x", x)
     known = values[np.isfinite(values)]

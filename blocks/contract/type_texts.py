@@ -22,7 +22,7 @@ def resolved_of(cls: Any, values: Mapping[str, Value] = MappingProxyType({})) ->
     parameters = cls.declaration.parameters.items()
     given = {name: Value(1.0 if p.type != "string" else "1") for name, p in parameters if p.default is REQUIRED}
     optional = [name for name, p in parameters if p.default is None and p.shape == ()]
-    for extra in ([], *([name] for name in optional)):  # where one of several must be given
+    for extra in ([], *([name] for name in optional), optional):  # where one of several must be given, or several
         try:
             return resolve(cls, {**given, **{name: Value(1.0) for name in extra}, **values})
         except BlocksError:

@@ -38,6 +38,7 @@ from blocks.studies.study_sweeps import ManyRuns
 from blocks.text.errors import BlocksError
 from blocks.text.units import parse
 from tests.support.documents import CONTROLLED, NESTED, SHIPPED, STUDY, diagrams, document, mutated
+from tests.support.library_variants import VARIANTS
 from tests.support.samples import FENCE, PAGES, ROOT
 
 STUDIES = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path not in SHIPPED)
@@ -508,7 +509,9 @@ def of_kinds() -> list[tuple[str, str]]:
 @pytest.mark.parametrize(("name", "key"), of_kinds())
 def test_what_a_block_type_takes_as_a_parameter_is_valid(name: str, key: str) -> None:
     parameters = LIBRARY[name].declaration.parameters
-    needed = {other: 1 for other, p in parameters.items() if p.default is REQUIRED}
+    needed = next(given for other, given in VARIANTS if other == name)  # what it cannot do without
+    needed = {other: value for other, value in needed.items() if parameters[other].default in (REQUIRED, None)}
+    needed = {**{other: 1 for other, p in parameters.items() if p.default is REQUIRED}, **needed}
     choices = parameters[key].choices or ("linear",)
     taken = refused = 0
     for value in [*VALUES, *choices]:
