@@ -10,6 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from blocks.text.errors import BlocksError
 
 from . import (
+    building,
     drawing,
     editing,
     fleet,
@@ -43,6 +44,7 @@ BENCHMARKS = {
     "instants": instants.main,
     "prepared": prepared.main,
     "fleet": fleet.main,
+    "building": building.main,
     "many_runs": many_runs.main,
     "start": start.main,
     "memory": start.main_memory,

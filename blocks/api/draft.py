@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from ..contract.block import Block
+from ..contract.interface import Interface
 from ..model import document as documents
-from ..model.block_ports import Ports, Probe, port_units
+from ..model.block_ports import Ports, Probe, interface_alone, port_units
 from ..model.diagram_value import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.raw_values import given_values, raw_of
 from ..model.resolver import resolver_of
 from ..model.spreading import fitted, spread
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.json_document import IN_FILES
 from ..text.printable import legible
 from .entries import block_entry, checked_entry
 
@@ -28,6 +30,7 @@ class Draft:
         self._frozen = value
         self._open: dict[str, dict[str, object]] = {}
         self._probe: Probe | None = None
+        self._brought: object = None  # the types that the last subdiagram has brought
 
     @property
     def value(self) -> DiagramValue:
@@ -68,12 +71,12 @@ class Draft:
             self.name, parameters=self.section("parameters"), inputs=self.section("inputs"),
             blocks=self.section("blocks"), wires=self.section("wires"), folder=self.folder,
         )  # fmt: skip
-        sink, source = fitted(within, sink, source, self.resolver)
+        sink, source = fitted(within, sink, source, self.resolver, self.interface)
         if sink in within.wires:
             message = f"is already wired to {legible(within.wires[sink])}."
             cure = f'Use Sum to add signals, or remove the wire first: unwire("{legible(sink)}").'
             raise ModelError(Fault("E109", legible(sink), message, cure))
-        self.put("blocks", spread(within, sink, source, self.resolver))
+        self.put("blocks", spread(within, sink, source, self.resolver, self.interface))
         self.put("wires", {sink: source})
 
     def unwire(self, sink: str) -> None:
@@ -98,7 +101,7 @@ class Draft:
 
         before = self.value
         text = text_without(documents.dumps(before), name, before.folder, tuple(self.types.values()))
-        after = documents.loads(text, file="", folder=before.folder)  # nobody sees this text
+        after = documents.loads(text, file="", folder=before.folder, times=IN_FILES)  # nobody sees this text
         # Blocks that stay as they were keep their classes: those of FMUs hold what was given beside the path.
         kept = {key: before.blocks[key] for key, entry in after.blocks.items() if before.blocks[key] == entry}
         self.value = replace(after, blocks={**after.blocks, **kept})
@@ -155,7 +158,9 @@ class Draft:
         """Return the entry of a diagram, or of a diagram file, as a block. It brings the block types of a diagram."""
         given = {k: raw_of(v) for k, v in parameters.items() if v is not None}
         if isinstance(source, Draft):
-            self.types = {**source.types, **self.types}
+            if source.types is not self._brought and source.types.keys() - self.types.keys():
+                self.types = {**source.types, **self.types}  # which loads all modules of the library
+            self._brought = source.types
             entry = BlockEntry(diagram=documents.relocated(source.value, self.folder))
         else:
             entry = BlockEntry(diagram=source, loaded=documents.load(Path(self.folder) / source))
@@ -166,13 +171,22 @@ class Draft:
 
     def ports(self, name: str, entry: BlockEntry) -> Ports:
         """Return the ports of a block in this diagram, with their units, without reading the diagram value."""
-        is_known = bool(entry.type) and entry.cls is not None and not entry.variants
+        if entry.variants or entry.inner is not None:
+            return port_units(self._within(), name, entry, self.resolver)
+        interface = self.interface(name, entry)
+        return interface.input_units, interface.output_units
+
+    def interface(self, name: str, entry: BlockEntry) -> Interface:
+        """Return the interface of a block of a type in this diagram. Raises ModelError."""
+        is_known = bool(entry.type) and entry.cls is not None and entry.copies is None and not entry.variants
         probe, self._probe = (self._probe, None) if is_known else (None, self._probe)
-        if probe is not None and (ports := probe.ports(name, entry)) is not None:
+        if probe is not None and (interface := probe.interface(name, entry)) is not None:
             self._probe = probe
-            return ports
-        within = DiagramValue(self.name, parameters=self.section("parameters"), folder=self.folder)
-        ports = port_units(within, name, entry, self.resolver)
+            return interface
+        interface = interface_alone(self._within(), name, entry, self.resolver)
         if is_known:
-            self._probe = Probe(within, self.resolver)
-        return ports
+            self._probe = Probe(self._within(), self.resolver)
+        return interface
+
+    def _within(self) -> DiagramValue:
+        return DiagramValue(self.name, parameters=self.section("parameters"), folder=self.folder)

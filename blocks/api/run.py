@@ -27,6 +27,7 @@ from ..engines.run.differences import of_values
 from ..engines.run.engine import Engine
 from ..engines.run.saved_state import Kept, State, adapted, check, packed
 from ..engines.selection import simulation
+from ..host.gc_pause import paused
 from ..host.ipython_errors import UnknownName
 from ..host.progress_line import live_line
 from ..model.diagram_value import DiagramValue
@@ -94,6 +95,7 @@ def _is_resting(resume: object) -> TypeGuard[OperatingPoint]:
     return module is not None and isinstance(resume, module.OperatingPoint)
 
 
+@paused()
 def started(
     value: DiagramValue,
     resolver: Resolver,

@@ -27,7 +27,7 @@ from ..text import json_text
 from ..text.atomic_write import real as real_path
 from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, ModelError
-from ..text.json_document import Document
+from ..text.json_document import IN_FILES, Document
 from ..text.json_edits import Splice, edited, position, same
 from ..text.json_number import Number
 from . import tree
@@ -126,8 +126,8 @@ class Workspace:
         if real not in self.names:
             if text is None:
                 project = Project(Path(real).parent) if is_first else self.project
-                text = read_inside(path, project, Fault("E007", "", ""))
-            document = json_text.read(text, file=str(path))
+                text = read_inside(path, project, Fault("E007", "", ""), times=IN_FILES)
+            document = json_text.read(text, file=str(path), times=IN_FILES)
             self.faults[real] = faults_of(document)
             check_version(document)
             self.documents.known[real], self.names[real] = document, str(path)
@@ -222,7 +222,7 @@ def _bytes(text: str) -> bytes:
 def rewritten(document: Document, value: object) -> tuple[Document, tuple[Splice, ...]]:
     """The document with another value, whose text is read again and says just that; and the changes."""
     text, splices = edited(document, value, lines=tree.grammar_of(value).lines)
-    new = json_text.read(text, file=document.file)
+    new = json_text.read(text, file=document.file, times=IN_FILES)
     if not same(new.value, value):
         raise AssertionError("the new text says something else")
     return new, splices
@@ -302,9 +302,9 @@ def _size(path: str) -> int:
 def _with_names(path: str, names: Collection[str], documents: Documents) -> Document | None:
     """The document of a file that may hold one of some names: its text contains it, or escapes."""
     real = os.path.realpath(path)
-    known = documents.known.get(real)
+    known, fault = documents.known.get(real), Fault("E007", "", "")
     try:
-        data = known.text.encode() if known else read_inside(Path(path), documents.project, Fault("E007", "", ""))
+        data = known.text.encode() if known else read_inside(Path(path), documents.project, fault, times=IN_FILES)
     except ModelError:
         return None
     if b"blocks-" in data and (b"\\u" in data or any(name.encode() in data for name in names)):

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -83,9 +84,10 @@ def _remove(spot: Spot, entry: Mapping[str, object]) -> None:
         raise UsageError(spot.fault("E501", "remove", "an edit cannot remove a whole file."))
     gone: dict[str, set[Steps]] = {spot.file: {steps}}
     others: dict[str, str] = {}
+    found = cache(partial(_references, workspace))  # nothing changes before all that goes is known
     while True:
         count = sum(map(len, gone.values()))
-        targets = {target for file, places in gone.items() for target in _defined(workspace, file, places)}
+        targets = {target for file, places in gone.items() for target in _defined(found(file), file, places)}
         names = {target.name for target in targets}
         for document in () if workspace.is_alone else files_with(names, spot.file, workspace.documents):
             if isinstance(document, str):
@@ -94,7 +96,7 @@ def _remove(spot: Spot, entry: Mapping[str, object]) -> None:
                 others[os.path.realpath(document.file)] = document.file
         for file in (spot.file, *others):
             places = gone.setdefault(file, set())
-            places |= _that_mean(workspace, file, targets, places, has_values=file == spot.file)
+            places |= _that_mean(workspace, file, found(file), targets, places, has_values=file == spot.file)
         if sum(map(len, gone.values())) == count:
             break
     parameters = {target for target in targets if target.kind == "parameter"}
@@ -178,27 +180,36 @@ def _literal(spot: Spot, target: Target, raw: object, path: Steps) -> str:
     return text if si >= 0 else f"({text})"
 
 
-def _defined(workspace: Workspace, file: str, places: set[Steps]) -> set[Target]:
-    """What is defined at some places of a file, or in what stands there."""
-    document = workspace.document(file)
+def _references(workspace: Workspace, file: str) -> list[Reference]:
+    return references(workspace.document(file), file, workspace.documents)
+
+
+def _defined(found: Iterable[Reference], file: str, places: set[Steps]) -> set[Target]:
+    """What is defined at some places of a file, or in what stands there. found: all references in it."""
     return {
         target
-        for reference in references(document, file, workspace.documents)
+        for reference in found
         for target in reference.targets
         if target.file == file and tree.is_within((*target.scope, SECTIONS[target.kind], target.name), places)
     }
 
 
 def _that_mean(
-    workspace: Workspace, file: str, targets: set[Target], known: set[Steps], *, has_values: bool
+    workspace: Workspace,
+    file: str,
+    references_: Iterable[Reference],
+    targets: set[Target],
+    known: set[Steps],
+    *,
+    has_values: bool,
 ) -> set[Steps]:
     """The entries of a file with a name that means one of the targets, and nothing else.
 
-    has_values: whether expressions get the values of parameters instead.
+    references_: all in it. has_values: whether expressions get the values of parameters instead.
     """
     document = workspace.document(file)
     found = set()
-    for reference in references(document, file, workspace.documents):
+    for reference in references_:
         if has_values and _is_formula(reference, _value_at(document.value, reference)):
             continue
         # A claim about two runs needs the measures of both; what goes through variants means any of them.
@@ -222,7 +233,7 @@ def _rename(spot: Spot, entry: Mapping[str, Any]) -> None:
     tree.entry_at(spot.value, steps, spot.name)
     kind = next((kind for kind, section in SECTIONS.items() if steps[-2:-1] == (section,)), None)
     target = None if kind is None else Target(spot.file, steps[:-2], kind, str(steps[-1]))
-    if target is None or target not in _defined(workspace, spot.file, {steps}):
+    if target is None or target not in _defined(_references(workspace, spot.file), spot.file, {steps}):
         if not isinstance(steps[-1], str):
             raise UsageError(spot.fault("E501", place_of(steps), "has no name.", "Set another value."))
         around = tree.entry_at(spot.value, steps[:-1], spot.name)

@@ -24,7 +24,7 @@ from ..model.values import is_expression
 from ..text import json_text
 from ..text.errors import Fault, ModelError
 from ..text.grammar import Found, Object
-from ..text.json_document import Document
+from ..text.json_document import IN_FILES, Document
 
 Steps: TypeAlias = tuple[str | int, ...]
 Kind: TypeAlias = Literal["block", "input", "parameter", "output", "measure", "variant", "run"]
@@ -126,8 +126,8 @@ class Documents:
     def document(self, path: str) -> Document | None:
         if path not in self.known:
             try:
-                data = read_inside(Path(path), self.project, Fault("E007", "", ""))
-                self.known[path] = json_text.read(data, file=path)
+                data = read_inside(Path(path), self.project, Fault("E007", "", ""), times=IN_FILES)
+                self.known[path] = json_text.read(data, file=path, times=IN_FILES)
             except ModelError:
                 self.known[path] = None
         return self.known[path]

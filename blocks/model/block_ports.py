@@ -22,7 +22,7 @@ Ports = tuple[Mapping[str, str], Mapping[str, str]]
 
 
 class Probe:
-    """The ports of blocks that are added to a diagram one after the other; what those alike share is settled once.
+    """The interfaces of blocks that are added to a diagram one after the other; what those alike share is settled once.
 
     It holds for the parameters that the diagram has when it is made.
     """
@@ -31,11 +31,11 @@ class Probe:
         """Raises ModelError as `port_units`."""
         self.blocks: dict[str, BlockEntry] = {}
         self.hierarchy = Hierarchy(replace(within, blocks=self.blocks), resolver, {})
-        self.known: dict[object, Ports] = {}
+        self.known: dict[object, Interface] = {}
         self.read: dict[object, Outside] = {}
 
-    def ports(self, name: str, entry: BlockEntry) -> Ports | None:
-        """Those of a block whose class is known; None where a fresh look is needed, and from then on."""
+    def interface(self, name: str, entry: BlockEntry) -> Interface | None:
+        """That of a block whose class is known; None where a fresh look is needed, and from then on."""
         assert entry.cls is not None
         hierarchy, declaration = self.hierarchy, entry.cls.declaration
         read, bounds = outside(declaration), loose(declaration)
@@ -52,10 +52,9 @@ class Probe:
         leaf = hierarchy.leaf(hierarchy.root, name, entry)
         if leaf is None or hierarchy.faults:
             return None
-        ports = leaf.interface.input_units, leaf.interface.output_units
         if key is not None:
-            self.known[key] = ports
-        return ports
+            self.known[key] = leaf.interface
+        return leaf.interface
 
 
 def _is_between(raw: object, bounds: tuple[float, float] | None) -> bool:

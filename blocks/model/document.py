@@ -18,7 +18,7 @@ from ..text import json_text, json_writer
 from ..text.atomic_write import real
 from ..text.errors import Fault, ModelError
 from ..text.grammar import Object
-from ..text.json_document import Document
+from ..text.json_document import IN_FILES, Document
 from .diagram_grammar import BLOCK, BODY, DIAGRAM, SCHEMA, VARIANT
 from .diagram_value import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList
 from .document_reader import DocumentReader, Loading
@@ -35,21 +35,22 @@ def load(path: str | Path) -> DiagramValue:
     """
     path = Path(path)
     resolved = real(path)
-    data = read_inside(path, Project(resolved.parent), Fault("E007", "", ""))
+    data = read_inside(path, Project(resolved.parent), Fault("E007", "", ""), times=IN_FILES)
     # Absolute, so that it stays the same folder when the program goes to another.
     folder = os.path.abspath(path.parent)
-    return _read(data, str(path), folder, Loading(path), (resolved,))
+    return _read(data, str(path), folder, Loading(path), (resolved,), IN_FILES)
 
 
 def loads(
-    text: str | bytes, *, file: str = "<text>", folder: str | Path = "", texts: Mapping[str, str] | None = None
+    text: str | bytes, *, file: str = "<text>", folder: str | Path = "", texts: Mapping[str, str] | None = None,
+    times: int = 1,
 ) -> DiagramValue:
     """The diagram of a text. Subdiagram files are looked for from `folder` on (the current one unless given).
 
-    texts: what files hold, by their real paths, in place of what is on the disk.
+    texts: what files hold, by their real paths, in place of what is on the disk. times: as of `json_text.read`.
     """
     folder = os.path.abspath(folder)
-    return _read(text, file, folder, Loading(Path(folder) / "x", texts=texts or {}), ())
+    return _read(text, file, folder, Loading(Path(folder) / "x", texts=texts or {}), (), times)
 
 
 def alone(document: Document) -> tuple[DiagramValue | None, list[Fault]]:
@@ -75,7 +76,7 @@ def canonical(document: Document) -> str:
         raise ModelError(*faults)
     assert value is not None
     text = dumps(value)
-    if alone(json_text.read(text))[0] != value:
+    if alone(json_text.read(text, times=IN_FILES))[0] != value:
         raise AssertionError("the canonical text does not describe the same document")
     return text
 
@@ -87,7 +88,14 @@ def from_document(document: Mapping[str, object], *, folder: str | Path = "") ->
 
 def entries(*, folder: str = "", **sections: Mapping[str, object]) -> DiagramValue:
     """Some sections of a diagram that is made in Python, as a file in `folder` would hold them. Raises ModelError."""
-    return _unseen({"format": FORMAT, "version": VERSION, **sections}, os.path.abspath(folder))
+    document = {"format": FORMAT, "version": VERSION, **sections}
+    with contextlib.suppress(ValueError):
+        loading = Loading(os.path.join(folder, "x"))
+        quick = Document(json_text.without_text(document), {}, "", "")
+        value = DocumentReader(quick, "", folder, loading, ()).diagram()
+        if value is not None and not loading.faults:
+            return value
+    return _unseen(document, os.path.abspath(folder))  # which has a text to tell of
 
 
 def block(name: str, entry: Mapping[str, object], folder: str) -> BlockEntry:
@@ -106,15 +114,17 @@ def block(name: str, entry: Mapping[str, object], folder: str) -> BlockEntry:
 def _unseen(document: Mapping[str, object], folder: str) -> DiagramValue:
     """The diagram of a text that nobody sees: its faults have no line."""
     try:
-        return _read(dumps_document(document), "", folder, Loading(Path(folder) / "x"), ())
+        return _read(dumps_document(document), "", folder, Loading(Path(folder) / "x"), (), IN_FILES)
     except ModelError as error:
         faults = (fault.at("", 0, 0) if fault.file in ("", "<text>") else fault for fault in error.faults)
         raise ModelError(*faults) from None
 
 
 @paused()
-def _read(text: str | bytes, file: str, folder: str, loading: Loading, above: tuple[Path, ...]) -> DiagramValue:
-    document, first = json_text.meant(text, file=file)
+def _read(
+    text: str | bytes, file: str, folder: str, loading: Loading, above: tuple[Path, ...], times: int
+) -> DiagramValue:
+    document, first = json_text.meant(text, file=file, times=times)
     diagram = DocumentReader(document, file, folder, loading, above).diagram()
     if first or loading.faults:
         faults, told = FaultList(), {fault.path for fault in first}
@@ -196,6 +206,8 @@ def self_contained(value: DiagramValue) -> DiagramValue:
 
 def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
     """The value as a file in another folder holds it: the paths of other files lead to the same files."""
+    if value.folder and value.folder == str(folder):  # else the disk is asked
+        return value
     old, new = os.path.realpath(value.folder or "."), os.path.realpath(folder)
     if old == new:
         return value

@@ -21,7 +21,7 @@ from ..text.atomic_write import real
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.grammar import OWN, Object, Steps, in_words, kind_of
-from ..text.json_document import Document
+from ..text.json_document import IN_FILES, Document
 from ..text.json_number import Number, is_number
 from ..text.printable import legible, quoted
 from .diagram_grammar import (
@@ -307,8 +307,12 @@ class DocumentReader:
             shown = os.path.join(os.path.dirname(self.file), text)
             try:
                 known = loading.texts.get(str(resolved))
-                data = read_inside(target, loading.project, place, shown) if known is None else known.encode()
-                document = json_text.read(data, file=shown)
+                if known is None:
+                    document = json_text.read(
+                        read_inside(target, loading.project, place, shown, IN_FILES), file=shown, times=IN_FILES
+                    )
+                else:
+                    document = json_text.read(known.encode(), file=shown)
             except ModelError as error:
                 loading.faults.update(error.faults)
             else:

@@ -95,10 +95,10 @@ def _is_shared(folder: Path) -> bool:
     return status.st_gid != status.st_uid
 
 
-def read_inside(path: Path, project: Project, fault: Fault, shown: str = "") -> bytes:
+def read_inside(path: Path, project: Project, fault: Fault, shown: str = "", times: int = 1) -> bytes:
     """The bytes of a file inside the project. Raises ModelError (E007, E008), worded from `fault`'s place.
 
-    shown: what the message calls the file.
+    shown: what the message calls the file. times: how many times larger than `MAX_BYTES` it may be.
     """
     name = shown or str(path)
     name = quoted(name if len(name) <= 60 else f"...{name[-57:]}")
@@ -127,11 +127,11 @@ def read_inside(path: Path, project: Project, fault: Fault, shown: str = "") -> 
         with open(os.open(resolved, flags), "rb") as stream:
             if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
                 raise refuse("E007", "is not a regular file.", "Give the path of a file.")
-            data = stream.read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
+            data = stream.read(times * MAX_BYTES + 1)
+        if len(data) > times * MAX_BYTES:
             cure = "Keep tables of data in CSV files, and split large diagrams into subdiagram files."
             cure = "Leave out rows that are not needed." if path.suffix.lower() == ".csv" else cure
-            raise refuse("E008", f"is larger than {MAX_BYTES // 2**20} MiB.", cure)
+            raise refuse("E008", f"is larger than {times * MAX_BYTES // 2**20} MiB.", cure)
         return data
     except (OSError, ValueError) as error:
         if isinstance(error, ModelError):

@@ -12,6 +12,7 @@ from ..model import document as documents
 from ..model.project import MAX_BYTES, Project, read_inside
 from ..text import json_text
 from ..text.errors import Fault
+from ..text.json_document import IN_FILES
 from . import study
 
 
@@ -31,10 +32,11 @@ def canonical(file: str, stream: BinaryIO | None = None) -> Canonical:
     stream: where its bytes come from in place of the file. Raises ModelError with the faults of its structure.
     """
     if stream is not None:
-        data = stream.read(MAX_BYTES + 1)
+        data = stream.read(IN_FILES * MAX_BYTES + 1)
     else:
-        data = read_inside(Path(file), Project(Path(os.path.realpath(file)).parent), Fault("E007", "", ""))
-    document = json_text.read(data, file=file)
+        project = Project(Path(os.path.realpath(file)).parent)
+        data = read_inside(Path(file), project, Fault("E007", "", ""), times=IN_FILES)
+    document = json_text.read(data, file=file, times=IN_FILES)
     is_study = isinstance(document.value, dict) and document.value.get("format") == study_grammar.FORMAT
     new = study.canonical(document) if is_study else documents.canonical(document)
     newest = study_grammar.VERSION if is_study else diagram_value.VERSION

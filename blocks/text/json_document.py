@@ -19,6 +19,8 @@ LARGEST_TEXT = 16 * 1024 * 1024  # bytes in UTF-8
 LARGEST_DEPTH = 160  # 30 subdiagrams in each other, each the variant of a block, need 5 each, and 10 for what they hold
 LARGEST_COUNT = 1_000_000
 LONGEST_STRING = 100_000
+IN_FILES = 4
+"""A file on this machine, and what blocks writes, may have this many times more bytes and values."""
 # A text of a million faults would otherwise take a gigabyte to report.
 MOST_FAULTS = 1_000
 

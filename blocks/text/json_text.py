@@ -60,6 +60,7 @@ class _Scan:
     text: str
     meant: str
     file: str = ""
+    most: int = limits.LARGEST_COUNT
     faults: list[Fault] = field(default_factory=list)
     path: Path = ()
     open: list[tuple[int, dict[str, int], Iterator[int]]] = field(default_factory=list)
@@ -112,8 +113,8 @@ class _Scan:
                 self.path = self.path[: -2 if wanted == "value" else -1]
                 self.open.pop()
             if is_value:
-                if next(values) > limits.LARGEST_COUNT:
-                    message = f"the text holds more than {limits.LARGEST_COUNT:,} values."
+                if next(values) > self.most:
+                    message = f"the text holds more than {self.most:,} values."
                     self.fault("E008", start, message, "Keep tables of data in files of their own.", is_last=True)
                 yield self.path, key_at, start
                 self.take(kind, token, start)
@@ -238,23 +239,23 @@ class _Places(Mapping[Path, Position]):
         return sum(1 for _ in self)
 
 
-def read(text: str | bytes, *, file: str = "") -> Document:
+def read(text: str | bytes, *, file: str = "", times: int = 1) -> Document:
     """The document that the text holds; bytes are UTF-8 without a byte-order mark.
 
     `file` is named in the faults; without one they name "<text>". Limits: 16 MiB, 160 nested containers, 1,000,000
-    values, strings of 100,000 and numbers of 400 characters.
+    values, strings of 100,000 and numbers of 400 characters. times: how many times more bytes and values it may have.
 
     Raises ModelError with all faults that were found, in the order of the text. Its `readable` is the Document that is
     meant, where there is no doubt about that.
     References: RFC 8259.
     """
-    text = _decoded(text, file or "<text>")
-    scan = _Scan(text, text, file)
+    text = _decoded(text, file or "<text>", times * limits.LARGEST_TEXT)
+    scan = _Scan(text, text, file, most=times * limits.LARGEST_COUNT)
     if text.startswith("\ufeff"):
         scan.fault("E001", 0, "the text begins with a byte-order mark.", "Save the file as UTF-8 without this mark.")
         scan.text = scan.meant = text = " " + text[1:]
     try:
-        value = _quick(text)
+        value = _quick(text, scan.most)
     except (ValueError, RecursionError):
         _check_count(scan)
         for _ in scan.marks():  # it says what is wrong, if something is
@@ -268,25 +269,25 @@ def read(text: str | bytes, *, file: str = "") -> Document:
 
 def _check_count(scan: _Scan) -> None:
     """Refuse what holds far too many values at once: a scan would say so late."""
-    most, bare = limits.LARGEST_COUNT + FAR_TOO_MANY, scan.text
+    most, bare = scan.most + FAR_TOO_MANY, scan.text
     if bare.count(",") >= most and '"' in bare:  # some may stand in strings
         bare = _strings(lambda match: " " * len(match[0]), bare)
     if bare.count(",") < most:
         return
     at = -1
-    for _ in range(limits.LARGEST_COUNT):
+    for _ in range(scan.most):
         at = bare.find(",", at + 1)
-    message = f"the text holds more than {limits.LARGEST_COUNT:,} values."
+    message = f"the text holds more than {scan.most:,} values."
     scan.fault("E008", at + 1, message, "Keep tables of data in files of their own.", is_last=True)
 
 
-def meant(text: str | bytes, *, file: str = "") -> tuple[Document, tuple[Fault, ...]]:
+def meant(text: str | bytes, *, file: str = "", times: int = 1) -> tuple[Document, tuple[Fault, ...]]:
     """The document that the text holds, or that it means in spite of slips, and the faults for these.
 
     Raises ModelError where it could mean something else, too.
     """
     try:
-        return read(text, file=file), ()
+        return read(text, file=file, times=times), ()
     except ModelError as error:
         if error.readable is None:
             raise
@@ -330,14 +331,14 @@ _AS_MEANT = json.JSONDecoder(parse_float=_number, parse_int=_number)
 _STRICT = json.JSONDecoder(object_pairs_hook=_of_pairs, parse_float=Number, parse_int=Number, parse_constant=Number)
 
 
-def _quick(text: str) -> Any:
+def _quick(text: str, most: int) -> Any:
     """The value of a text in which nothing is wrong. Raises ValueError or RecursionError where that is not certain."""
     # A string that is too long leaves a piece of half that length without quotes, wherever the pieces begin.
     half = limits.LONGEST_STRING // 2
     bare = text.replace('\\"', "..") if "\\" in text else text
     is_long = any(bare.find('"', at, at + half) < 0 for at in range(0, len(text) - half, half))
     values = 1 + text.count(",") + text.count("[") + text.count("{")  # or fewer
-    if is_long or values > limits.LARGEST_COUNT or ("\\u" in text and _half(text)):
+    if is_long or values > most or ("\\u" in text and _half(text)):
         raise ValueError
     text.encode()  # a ValueError, if it holds halves of characters
     value = _STRICT.decode(text)
@@ -353,12 +354,12 @@ def _quick(text: str) -> Any:
 _ARCHIVE = b"PK\x03\x04"  # so begins a ZIP file
 
 
-def _decoded(text: str | bytes, file: str) -> str:
+def _decoded(text: str | bytes, file: str, largest: int) -> str:
     size = len(text)
-    if isinstance(text, str) and size <= limits.LARGEST_TEXT and not text.isascii():
+    if isinstance(text, str) and size <= largest and not text.isascii():
         size = len(text.encode("utf-8", "surrogatepass"))
-    if size > limits.LARGEST_TEXT:
-        message = f"the text has {size:,} bytes; the limit is {limits.LARGEST_TEXT:,}."
+    if size > largest:
+        message = f"the text has {size:,} bytes; the limit is {largest:,}."
         raise ModelError(Fault("E008", "", message, "Keep tables of data in files of their own.", file=file))
     if isinstance(text, str):
         return text

@@ -29,13 +29,14 @@ def write(value: object, *, one_per_line: Callable[[Path, Any], bool]) -> str:
 
     A Number is written as it was spelled, another float by its shortest repr. Tuples are lists; scalars and arrays of
     NumPy are the numbers they hold. Strings keep all characters but `"`, `\`, control characters, U+2028 and U+2029,
-    and halves of surrogate pairs, which are escaped (`read` refuses those halves). The limits are those of `read`.
+    and halves of surrogate pairs, which are escaped (`read` refuses those halves). The limits are those of files.
 
     Raises ModelError with all faults: E004 for inf, nan and what JSON does not know, E008 for what is too large.
     """
     text = piece(value, (), "\n", one_per_line=one_per_line) + "\n"
-    if len(text) > limits.LARGEST_TEXT or (not text.isascii() and len(text.encode("utf-8")) > limits.LARGEST_TEXT):
-        raise ModelError(Fault("E008", "", f"the text has more than {limits.LARGEST_TEXT:,} bytes.", "Split it."))
+    largest = limits.IN_FILES * limits.LARGEST_TEXT
+    if len(text) > largest or (not text.isascii() and len(text.encode("utf-8")) > largest):
+        raise ModelError(Fault("E008", "", f"the text has more than {largest:,} bytes.", "Split it."))
     return text
 
 
@@ -79,8 +80,8 @@ class _Writer:
     def put(self, value: object, path: Path, margin: str) -> None:
         """`margin` is the line break and the indentation of this level; it is empty inside a line."""
         self.count += 1
-        if self.count > limits.LARGEST_COUNT:
-            self.end(path, f"there are more than {limits.LARGEST_COUNT:,} values.")
+        if self.count > limits.IN_FILES * limits.LARGEST_COUNT:
+            self.end(path, f"there are more than {limits.IN_FILES * limits.LARGEST_COUNT:,} values.")
         if not isinstance(value, _PLAIN_TYPES) and isinstance(value, _Array):
             value = value.tolist()
         # The methods are those of the builtin: NumPy and enumerations have a repr of their own.

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from blocks import Diagram, ModelError, UsageError
+from blocks import Constant, Diagram, ModelError, UsageError, edit_file, subdiagram
 from blocks.library import LIBRARY
 from blocks.model.diagram_value import DiagramValue
 from blocks.model.document import dumps, from_document, load, loads
@@ -22,6 +22,7 @@ from blocks.model.project import MAX_BYTES, project_of
 from blocks.model.resolver import resolver_of
 from blocks.text.atomic_write import write_atomically
 from blocks.text.errors import Fault
+from blocks.text.json_document import IN_FILES
 from tests.support.documents import NESTED, SHIPPED, diagrams, document, mutated
 from tests.support.places import ROOT
 
@@ -504,8 +505,30 @@ def test_files_that_use_each_other_twice_are_refused_before_they_fill_the_memory
 def test_a_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "large.json"
     with open(path, "wb") as stream:
-        stream.truncate(MAX_BYTES + 1)
+        stream.truncate(IN_FILES * MAX_BYTES + 1)
     assert refused(path).code == "E008"
+
+
+def test_a_diagram_beyond_the_limit_of_texts_is_saved_as_a_file_and_read(tmp_path: Path) -> None:
+    """A text that comes from elsewhere may be a fourth as large."""
+    large = Diagram("large")
+    for number in range(300):
+        large.add(f"block{number}", Constant(value=number / 7), doc="x" * 60_000)
+    path, outer = tmp_path / "large.json", Diagram("outer", folder=tmp_path)
+    large.save(path)
+    assert path.stat().st_size > MAX_BYTES
+    read = Diagram.load(path)
+    assert read.value.blocks == large.value.blocks
+    assert read.dumps() == large.dumps()
+    read.remove("block7")
+    assert [*read] == [name for name in large if name != "block7"]
+    edit_file(path, [{"remove": "blocks.block8"}]).write()
+    assert len(Diagram.load(path).value.blocks) == 299
+    outer.add("part", subdiagram("large.json"))
+    outer.save(tmp_path / "outer.json")
+    assert len(Diagram.load(tmp_path / "outer.json").flatten().blocks) == 299
+    with pytest.raises(ModelError, match="E008"):
+        Diagram.from_json(path.read_bytes())
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="everything can be read here")

@@ -14,7 +14,7 @@ import pytest
 
 
 def a_large_file(folder: Path, patch: pytest.MonkeyPatch) -> None:
-    (folder / "measured.json").write_bytes(b" " * 20_000_000)
+    (folder / "measured.json").write_bytes(b" " * 80_000_000)
 
 
 def no_pyarrow(folder: Path, patch: pytest.MonkeyPatch) -> None:
