@@ -743,9 +743,9 @@ HOT int blocks_logged(BlocksSim *s, double *out)
    recorded is computed for these alone. */
 HOT int blocks_record_on_grid(BlocksSim *s)
 {
-    if (!blocks_is_row_due(s)) return 0;
     const double point = blocks_next_row(s), t = s->t;
     const int is_on_grid = blocks_joins(s, point, t), is_again = !is_on_grid && s->last_row && blocks_joins(s, s->last_row[0], t);
+    if (!is_on_grid && !is_again && t != s->setup->end && s->last_row) return 0;
     if (blocks_logged(s, s->row_values)) return BLOCKS_FAILED;
     if (is_again) memcpy(s->last_row + 1, s->row_values, (size_t)s->model->nlogged * sizeof(double));
     else if (add_row(s, is_on_grid && t != s->setup->end ? point : t, s->row_values)) return BLOCKS_FAILED;
@@ -2704,13 +2704,6 @@ HOT int blocks_check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
     return 0;
 }
 
-BLOCKS_INLINE int any_due(const BlocksSim *s, const BlocksSlot *slots, int n)
-{
-    for (int i = 0; i < n; i++)
-        if (s->due[slots[i].rate]) return 1;
-    return 0;
-}
-
 /* The ticks of all due rates: held outputs in dependency order, then the discrete updates at once. */
 HOT static int tick(BlocksSim *s, int *touched)
 {
@@ -2718,12 +2711,7 @@ HOT static int tick(BlocksSim *s, int *touched)
     const BlocksModel *model = s->model;
     BlocksMemory *m = &s->memory;
     const size_t nd = (size_t)model->nd;
-    int clique = 0;
-    for (; clique < setup->ncliques - 1; clique++) {
-        int fits = 1;
-        for (int r = 0; r < model->nrates && fits; r++) fits = !s->due[r] || setup->cliques[clique].rates[r];
-        if (fits) break;
-    }
+    const int clique = blocks_clique(s, model->nrates);
     const BlocksClique *c = &setup->cliques[clique];
     int begun = 0;
     for (int stage = 0; stage < c->nstages; stage++) {
@@ -2737,7 +2725,7 @@ HOT static int tick(BlocksSim *s, int *touched)
             continue;
         }
         const BlocksSlot *slots = setup->slots + part->first_slot;
-        const int has_slots = any_due(s, slots, part->nslots);
+        const int has_slots = blocks_any_due(s, slots, part->nslots);
         int has = has_slots;
         for (int i = 0; i < part->nsteppers; i++)
             has = has || s->due[setup->steppers[setup->stage_steppers[part->first_stepper + i]].rate];
@@ -2764,7 +2752,7 @@ HOT static int tick(BlocksSim *s, int *touched)
         copy(m->d, s->d1, nd);
         model->refresh(m);
     }
-    if (any_due(s, setup->nexts, setup->nnexts)) {
+    if (blocks_any_due(s, setup->nexts, setup->nnexts)) {
         if (begun && !is_calm(s) && quiet(s, NULL, 0, 0, touched)) return BLOCKS_FAILED;
         copy(s->d1, m->d, nd);
         if (s->moving) blocks_outside(s, s->t);
@@ -2851,7 +2839,7 @@ HOT static int instant(BlocksSim *s, int is_start)
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
     BlocksMemory *m = &s->memory;
-    if (!is_start && model->plain_instant && model->plain_instant(s)) return 0;
+    if (!is_start && model->plain_instant(s)) return 0;
     const size_t nx = (size_t)model->nx, nd = (size_t)model->nd, ns = (size_t)model->ns, ne = (size_t)model->nevents;
     double *x0 = s->backup + nx + nd + ns, *d0 = x0 + nx, *s0 = d0 + nd, *events0 = s0 + ns, *own0 = events0 + ne,
            *z0 = own0 + ne;

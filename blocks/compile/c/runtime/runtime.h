@@ -98,7 +98,7 @@ struct BlocksModel {
     void (*nexts)(const BlocksMemory *, double, const double *, const uint8_t *, double *);
     double (*trial)(BlocksSim *, double t, const double *x, double h, double *x1, int is_judged);
     int (*run)(BlocksSim *, double target);
-    int (*plain_instant)(BlocksSim *); /* see instants.h; null: there are none */
+    int (*plain_instant)(BlocksSim *); /* see instants.h */
     const BlocksHooks *hooks; /* null: there are no such units */
     BlocksProgram foreign_inputs;
     int32_t ntaken; /* how many values it gives */
@@ -579,13 +579,6 @@ BLOCKS_INLINE int blocks_joins(const BlocksSim *s, double at, double t)
     return !s->setup->has_jumps && blocks_within_ulps(at, t, s->scale);
 }
 
-/* Whether record_on_grid has something to record. */
-BLOCKS_INLINE int blocks_is_row_due(BlocksSim *s)
-{
-    const double t = s->t;
-    return blocks_joins(s, blocks_next_row(s), t) || !s->last_row || blocks_joins(s, s->last_row[0], t) || t == s->setup->end;
-}
-
 /* The side that goes with a value. Where a signal touched 0 and has not jumped since, it stays. inf: whatever the value is. */
 BLOCKS_INLINE double blocks_latched_side(const BlocksSim *s, int j, double value)
 {
@@ -595,6 +588,22 @@ BLOCKS_INLINE double blocks_latched_side(const BlocksSim *s, int j, double value
 BLOCKS_INLINE int64_t blocks_tick_count(const BlocksSim *s, int rate)
 {
     return s->setup->rates[rate].offset + s->ticks[rate] * s->setup->rates[rate].period;
+}
+
+BLOCKS_INLINE int blocks_any_due(const BlocksSim *s, const BlocksSlot *slots, int n)
+{
+    for (int i = 0; i < n; i++)
+        if (s->due[slots[i].rate]) return 1;
+    return 0;
+}
+
+/* The first clique with all rates that are due. */
+BLOCKS_INLINE int blocks_clique(const BlocksSim *s, int nrates)
+{
+    int clique = 0;
+    for (int r = 0; r < nrates && clique < s->setup->ncliques - 1; r++)
+        if (s->due[r] && !s->setup->cliques[clique].rates[r]) clique++, r = -1;
+    return clique;
 }
 
 /* numerator / denominator, rounded once; both may be beyond 2^53. */

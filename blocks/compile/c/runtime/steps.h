@@ -668,9 +668,7 @@ static int run(BlocksSim *s, double target)
     const BlocksGrid grid = setup->fixed;
     double near, point;
 #endif
-#if HAS_PLAIN_INSTANTS
 begin:
-#endif
     if (first_rates(s)) return BLOCKS_FAILED;
     if (has_grid) blocks_next_row(s);
     else s->next_row = INFINITY;
@@ -853,14 +851,12 @@ begin:
                     s->exact = s->target_exact;
                     s->count = s->target_count;
                     s->outstanding = 1;
-#if HAS_PLAIN_INSTANTS
-                    if (s->goes_on && plain_instant(s)) {
+                    if (HAS_PLAIN_INSTANTS && s->goes_on && plain_instant(s)) {
                         if (!(t < s->end) || blocks_has_ended(s)) return BLOCKS_DONE;
                         if (t >= soft || (--s->budget <= 0 && blocks_clock(s))) return BLOCKS_PAUSED;
                         target = blocks_next_of(s, BLOCKS_NRATES, BLOCKS_NEVENTS, INFINITY);
                         goto begin;
                     }
-#endif
                     return BLOCKS_DONE;
                 }
                 if (blocks_record_step(s)) return BLOCKS_FAILED;
@@ -916,11 +912,6 @@ static void prepare_all(BlocksMemory *m)
 #else
 #define CORNERS
 #endif
-#if HAS_PLAIN_INSTANTS
-#define PLAIN .plain_instant = plain_instant,
-#else
-#define PLAIN
-#endif
 #define PROGRAMS                                                                                                     \
     .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,            \
     .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW,                     \
@@ -929,7 +920,7 @@ static void prepare_all(BlocksMemory *m)
     .looks = looks, .prepare = prepare_all, .refresh = refresh,                                                      \
     .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,          \
     .solutions = solutions, .logged = logged, .measured = measured, .start = start,                                  \
-    PLAIN .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,            \
+    .plain_instant = plain_instant, .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,            \
     FOREIGN CORNERS
 
 #if BLOCKS_METHOD_AUTO
