@@ -291,7 +291,7 @@ def loop_report(
     limits = None
     if not loop.dt and len(closed) and (closed.real < 0).all():
         # What the loop can do, not how slowly a differentiator before it lets the reference in.
-        limits = sampling_limits(closed, known.bandwidth or known.crossover)
+        limits = sampling_limits(closed, known.bandwidth or known.crossover, known.delay)
     of_disturbance, of_noise = peak(to_disturbance), peak(noise)
     return LoopReport(
         diagram.name, control, output, known, loop, sensitivity, complementary, to_disturbance, noise, to_output,

@@ -301,7 +301,8 @@ class SamplingLimits:
     """Periods [s] of a sampled observer or controller.
 
     euler: explicit Euler steps of the linear system are stable below it. usual: from 1/40 to 1/20 of the period of the
-    bandwidth, between which sampling hardly shows.
+    bandwidth, between which sampling hardly shows; at most a third of the delay margin, as a sampled controller acts
+    1.5 periods late: half a period by its hold, one if it computes as long.
 
     References: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed., Addison-Wesley
     1998, chapter 11.
@@ -311,12 +312,14 @@ class SamplingLimits:
     usual: tuple[float, float]
 
 
-def sampling_limits(poles: Iterable[complex], bandwidth: float | None = None) -> SamplingLimits:
+def sampling_limits(
+    poles: Iterable[complex], bandwidth: float | None = None, delay: float | None = None
+) -> SamplingLimits:
     """Limits of the period for a system with these poles [1/s].
 
     Euler's step z -> z + Ts A z is stable where |1 + Ts p| < 1 for each pole: Ts < -2 Re p/|p|^2. bandwidth [rad/s]:
-    that of the closed loop; without it, the modulus of the fastest pole counts. Raises UsageError (E501), AnalysisError
-    (E705) where a pole is not in the left half plane.
+    that of the closed loop; without it, the modulus of the fastest pole counts. delay [s]: its delay margin. Raises
+    UsageError (E501), AnalysisError (E705) where a pole is not in the left half plane.
     """
     try:
         p = np.asarray(list(poles), dtype=complex)
@@ -330,7 +333,8 @@ def sampling_limits(poles: Iterable[complex], bandwidth: float | None = None) ->
         raise AnalysisError(Fault("E705", "poles", message, "Give poles with negative real parts."))
     w = float(np.max(np.abs(p))) if bandwidth is None else _positive(bandwidth, "bandwidth")
     euler = float(np.min(-2.0 * p.real / np.abs(p) ** 2))
-    return SamplingLimits(euler, (2 * math.pi / (40 * w), 2 * math.pi / (20 * w)))
+    most = math.inf if delay is None or delay == math.inf else _positive(delay, "delay") / 3
+    return SamplingLimits(euler, (min(2 * math.pi / (40 * w), most), min(2 * math.pi / (20 * w), most)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,6 +112,20 @@ def test_a_loop_behind_a_slow_differentiator_is_stable_when_it_is_sampled_as_usu
     assert largest(2 * math.pi / (20 * made.bandwidth)) > 1.0  # as the reference's bandwidth would have it
 
 
+@pytest.mark.parametrize("amplitude", [1e-4, 1e-3, 1e-2, 0.1, 1.0])
+def test_a_controller_at_the_usual_periods_is_stable_with_a_period_for_its_computation(amplitude: float) -> None:
+    given = {"control_right.nlsef.e": amplitude, "control_right.eso.e": amplitude}
+    diagram = Diagram.load(ROOT / "diagrams" / "paper" / "iadrc.json")
+    made = loop_report(diagram, "control_right.u", "motor_right.omega", amplitude=given)
+    assert made.sampling is not None
+    assert made.margins.delay is not None
+    period = made.sampling.usual[1]
+    assert period <= made.margins.delay / 3
+    sampled = control.sample_system(control.ss(made.loop), period, method="zoh")
+    late = sampled * control.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]], period)
+    assert np.abs(control.poles(control.feedback(late, 1))).max() < 1.0
+
+
 def test_the_loop_is_that_of_the_closed_form_of_the_controller() -> None:
     kp, kd, b1, b2, b3 = 144.6642, 25.5574, 30.4, 523.4, 2970.8
     Ra, La, kb, kt, n, Jeq, Beq = 0.1557, 0.82, 1.185, 1.1882, 3, 0.2752, 0.3922

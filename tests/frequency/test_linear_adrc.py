@@ -422,6 +422,9 @@ def test_euler_steps_are_stable_just_below_the_limit_and_not_above(gains: tuple[
 def test_the_usual_periods_are_a_twentieth_to_a_fortieth_of_that_of_the_bandwidth() -> None:
     made = sampling_limits([-1.0, -3.0], bandwidth=2 * math.pi)
     assert made.usual == pytest.approx((0.025, 0.05), rel=EXACT)
+    late = sampling_limits([-1.0, -3.0], bandwidth=2 * math.pi, delay=0.09)
+    assert late.usual == pytest.approx((0.025, 0.03), rel=EXACT)
+    assert late.euler == made.euler
     assert made.euler == pytest.approx(2 / 3, rel=EXACT)
     with pytest.raises(AnalysisError, match="E705 poles: the pole 1"):
         sampling_limits([-1.0, 1.0])
