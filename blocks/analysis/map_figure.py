@@ -96,7 +96,9 @@ def _hatched(axis: Axes, x: Array, y: Array, values: Array) -> None:
     """Where the closed loop is not stable."""
     unstable = np.isnan(values)
     if unstable.any() and not unstable.all():
-        axis.contourf(x, y, unstable.astype(float), levels=[0.5, 1.5], colors=["none"], hatches=["////"])
+        hatched = axis.contourf(x, y, unstable.astype(float), levels=[0.5, 1.5], colors=["none"], hatches=["////"])
+        hatched.set_edgecolor(FAINT)
+        hatched.set_linewidth(0.0)
         axis.contour(x, y, unstable.astype(float), levels=[0.5], colors=[FAINT], linewidths=1.0)
 
 
@@ -104,7 +106,7 @@ def _levels(known: Array) -> Array:
     """Round levels, by equal factors where the values span much."""
     from matplotlib.ticker import LogLocator, MaxNLocator
 
-    low, high = np.percentile(known, [2, 98])
+    low, high = np.percentile(known, [4, 90])  # lines crowd at the border of stability
     if low > 0 and high / low > _LARGE:
         steps = (1.0, 2.0, 5.0) if high / low < 10**3 else (1.0,)
         levels: Any = LogLocator(subs=steps, numticks=60).tick_values(low, high)

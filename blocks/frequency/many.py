@@ -15,6 +15,7 @@ import numpy as np
 from ..text.arrays import Array
 
 _POINTS = 160
+_GOLDEN, _STEPS = (5**0.5 - 1) / 2, 22
 _NUMBERS = 2**21
 """Numbers of one response that are computed at once."""
 Response = Callable[[Array, Array], Array]
@@ -114,22 +115,28 @@ class Channel:
         omega, rows = self.omega, np.arange(len(self.omega))
         sizes = np.abs(of(self.values))
         at = np.argmax(np.nan_to_num(sizes, nan=-1.0), axis=1)
-        best, x = sizes[rows, at], np.log(omega[rows, at])
-        inside = np.clip(at, 1, omega.shape[1] - 2)
-        step = np.maximum(np.log(omega[rows, inside + 1] / omega[rows, inside - 1]) / 2, 1e-9)
-        for _ in range(5):
-            points = x[:, None] + step[:, None] * np.array([-1.0, 0.0, 1.0])
-            values = np.log(np.maximum(np.abs(of(self.at(rows, np.exp(points)))), 1e-300))
-            bend = values[:, 0] - 2 * values[:, 1] + values[:, 2]
-            with np.errstate(all="ignore"):
-                move = np.where(bend < 0, 0.5 * (values[:, 0] - values[:, 2]) / bend, 0.0)
-            x = x + step * np.clip(move, -1.0, 1.0)
-            best = np.fmax(best, np.exp(values.max(axis=1)))
-            step = step / 4
-        best = np.fmax(best, np.abs(of(self.at(rows, np.exp(x)[:, None])))[:, 0])
-        for size, frequency in zip(np.abs(of(self.ends)).T, (-np.inf, np.inf), strict=True):
-            x = np.where(size > best, frequency, x)
-            best = np.fmax(best, size)
+        best, place = sizes[rows, at], omega[rows, at]
+        # Poles that lie together make points that do.
+        low = np.log(np.where(omega < place[:, None] * (1 - 1e-9), omega, omega[:, :1]).max(axis=1))
+        high = np.log(np.where(omega > place[:, None] * (1 + 1e-9), omega, omega[:, -1:]).min(axis=1))
+        x = np.log(place)
+
+        def size(x: Array) -> Array:
+            return np.asarray(np.nan_to_num(np.abs(of(self.at(rows, np.exp(x)[:, None])))[:, 0]))
+
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        of_left, of_right = size(left), size(right)
+        for _ in range(_STEPS):  # golden section between the neighbors
+            goes_left = of_left > of_right
+            low, high = np.where(goes_left, low, left), np.where(goes_left, right, high)
+            kept, known = np.where(goes_left, left, right), np.where(goes_left, of_left, of_right)
+            new = np.where(goes_left, high - _GOLDEN * (high - low), low + _GOLDEN * (high - low))
+            of_new = size(new)
+            left, right = np.where(goes_left, new, kept), np.where(goes_left, kept, new)
+            of_left, of_right = np.where(goes_left, of_new, known), np.where(goes_left, known, of_new)
+            x, best = np.where(of_new > best, new, x), np.fmax(best, of_new)
+        for end, frequency in zip(np.abs(of(self.ends)).T, (-np.inf, np.inf), strict=True):
+            x, best = np.where(end > best, frequency, x), np.fmax(best, end)
         return best, np.exp(x)
 
     def crossings(self, of: Callable[[Array], Array]) -> tuple[Array, Array, Array]:

@@ -57,8 +57,6 @@ def stacked(linearizer: Linearization, rows: Array, inputs: Names, outputs: Name
     values = values[whole.selects[slots] >= 0]
     constant = whole.entries.values[len(values) :, None]
     values = np.concatenate([values, np.broadcast_to(constant, (len(constant), len(rows)))])
-    if not np.isfinite(values).all():
-        return None
     # What contributes in one of the rows is kept in all.
     largest = replace(whole, entries=replace(whole.entries, values=np.abs(values).max(axis=1)))
     kept = contributing(linearizer, largest)
@@ -74,6 +72,8 @@ def stacked(linearizer: Linearization, rows: Array, inputs: Names, outputs: Name
     chunk = max(1, _NUMBERS // max(1, shape[0] * shape[1]))
     for begin in range(0, len(rows), chunk):
         dense = np.moveaxis((place @ values[:, begin : begin + chunk]).reshape(*shape, -1), 2, 0)
+        if not np.isfinite(dense).all():
+            return None
         try:
             T = np.linalg.solve(np.eye(len(z)) - dense[:, n:, r:], dense[:, n:, :r])
         except np.linalg.LinAlgError:

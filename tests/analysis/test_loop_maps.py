@@ -25,6 +25,7 @@ from blocks import (
 from blocks.analysis import LoopMap, loop_map, loop_report, margins, peak
 from blocks.analysis import loop_maps as own_module
 from blocks.cli import main
+from tests.support.places import ROOT
 
 Array = np.ndarray[Any, Any]
 PAIRS = ("gain", "phase_deg", "delay", "crossover", "Ms", "Mt", "disk")
@@ -261,3 +262,14 @@ def test_a_law_that_bends_is_taken_at_its_operating_point() -> None:
     found = loop_map(d, "control.u", "plant.y", over=OVER, points=3)
     given = {"control.omega_c": float(found.values[0][1]), "control.omega_o": float(found.values[1][1])}
     same(found, (1, 1), margins(d.linearizer(parameters=given).loop("control.u")))
+
+
+def test_the_robot_of_the_paper_at_an_amplitude_beside_laws_without_a_slope() -> None:
+    """The controller of the other wheel has infinite slopes, which are no part of this loop."""
+    d = Diagram.load(ROOT / "diagrams" / "paper" / "iadrc.json")
+    amplitude = {"control_right.nlsef.e": 0.01, "control_right.eso.e": 0.01}
+    over = {"Jeq": (0.2, 0.6), "control_right.Jeq": (0.2, 0.6)}
+    found = loop_map(d, "control_right.u", "motor_right.omega", over=over, points=3, amplitude=amplitude)
+    for place in ((0, 0), (1, 2)):
+        given = {"Jeq": float(found.values[0][place[1]]), "control_right.Jeq": float(found.values[1][place[0]])}
+        same(found, place, margins(d.linearizer(parameters=given, amplitude=amplitude).loop("control_right.u")))
