@@ -316,7 +316,7 @@ class Batch(Shown):
         for k in np.nonzero(~is_bound)[0].tolist():
             i = int(places[k])
             seed = made.seed(i)
-            if form.rebinding.fill(table[k], given[i], form.seed if seed is None else seed):
+            if form.rebinding.fill(table[k], given[i], form.rebinding.seed if seed is None else seed):
                 is_bound[k] = True
             elif (own := form if i == first else self._flat(given, i, made)) is not None:
                 if own.model is form.model and form.rebinding.is_possible:
@@ -431,10 +431,6 @@ class _Form:
     inputs: InputTable
     base: Array  # the row p
     faults: tuple[Fault, ...]  # W504: other forms have lanes
-
-    @property
-    def seed(self) -> int:
-        return self.prepared.plan.settings.seed
 
 
 class _Given:
