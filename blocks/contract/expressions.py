@@ -24,15 +24,12 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import numpy as np
-
-from ..text.arrays import Array
 from ..text.errors import Fault, ModelError, did_you_mean
 from .scalars import OPERATIONS
 
@@ -182,39 +179,23 @@ def evaluate(expression: Expression, values: Mapping[str, Scalar]) -> Scalar:
     )
 
 
-def evaluate_columns(expression: Expression, values: Mapping[str, Any], size: int) -> Array:
-    """Return the floats of an expression for many values of its names, to the last bit.
-
-    values: finite floats, or columns of `size` of them.
+def evaluate_columns(expression: Expression, columns: Mapping[str, Sequence[float]]) -> list[float]:
+    """Return the floats of an expression for each row of finite values of its names.
 
     Raises:
-        ArithmeticError, TypeError, ValueError: where `evaluate` refuses some of them.
+        ArithmeticError, TypeError, ValueError: where `evaluate` refuses one of them.
     """
 
-    def computed(step: PostfixStep, operands: list[Any]) -> Any:
-        operation = OPERATIONS.get(step.op)
-        if step.word in _ROUNDED_ALIKE and operation is not None:
-            with np.errstate(all="ignore"):
-                made = operation.ieee(*operands)
-        else:
-            function = operator.mod if operation is None else operation.value
-            rows = zip(*(np.broadcast_to(operand, size).tolist() for operand in operands), strict=True)
-            made = np.array([float(function(*row)) for row in rows])
-        if not np.isfinite(made).all():
+    size = max(map(len, columns.values()), default=1)
+
+    def computed(step: PostfixStep, operands: list[Sequence[float]]) -> list[float]:
+        function = operator.mod if step.word == "mod" else OPERATIONS[step.op].value
+        column = [float(x) for x in map(function, *operands)]
+        if not all(map(math.isfinite, column)):
             raise ArithmeticError(step.word)
-        return made
+        return column
 
-    def operand(step: PostfixStep) -> Any:
-        value = values[step.word] if step.scalar is None else step.scalar.value
-        if np.shape(value) not in ((), (size,)) or not isinstance(value, (float, np.ndarray)):
-            raise TypeError(step.word)
-        return value
-
-    return np.array(np.broadcast_to(expression.folded(operand, computed), size), dtype=float)
-
-
-_ROUNDED_ALIKE = ("+", "-", "*", "/", "neg", "abs")
-"""The operations that IEEE 754 rounds, or that round nothing: numpy and Python agree to the last bit."""
+    return [*expression.folded(lambda s: columns[s.word] if s.scalar is None else [s.scalar.value] * size, computed)]
 
 
 def check_numbers(expression: Expression) -> None:

@@ -106,8 +106,13 @@ class _Columns:
         expression = parse(text[1:])
         if expression.name is not None:
             return varied[expression.name]
-        columns = {name: varied.get(name, getattr(known.get(name), "value", None)) for name in expression.names}
-        return evaluate_columns(expression, columns, lanes)
+        columns: dict[str, list[float]] = {}
+        for name in expression.names:
+            value = known.get(name)
+            if value is None or type(value.value) is not float:
+                raise _Different
+            columns[name] = varied[name].tolist() if name in varied else [value.value] * lanes
+        return np.array(evaluate_columns(expression, columns))
 
     def listed(self, origin: Origin, child: Leaf | DiagramScope, lanes: int) -> Array:
         """Return the values of a list for copies in all lanes."""

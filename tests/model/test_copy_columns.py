@@ -75,6 +75,7 @@ DELAY = {"type": "TransportDelay", "parameters": {"delay": "=b"}}
 GIVEN: list[tuple[dict[str, Any], dict[str, Any]]] = [
     (diagram(), {}),
     (diagram(b="=1+index"), {}),
+    (diagram(b="=2**3*pi+(1/3)*index", a="=-(2*3)+index"), {}),
     (diagram(b="=copies-index/3", a="=0.1*index"), {}),
     (diagram(b=[1, 2, 3, 4, 5.5]), {}),
     (diagram(a={"value": [1, 2, 3, 4, 5], "unit": "rad"}), {}),
