@@ -1,8 +1,8 @@
 """Run cases for some minutes, first those of the covering array, and write what disagrees to files.
 
-    python -m tests.support.meeting --seed 3 --minutes 10 --out /tmp/found
-    python -m tests.support.meeting --seed 3 --minutes 10 --fix touch=none fmu=none/me2
-    python -m tests.support.meeting --again /tmp/found/300017_1.json
+python -m tests.support.meeting --seed 3 --minutes 10 --out /tmp/found
+python -m tests.support.meeting --seed 3 --minutes 10 --fix touch=none fmu=none/me2
+python -m tests.support.meeting --again /tmp/found/300017_1.json
 """
 
 from __future__ import annotations

@@ -248,8 +248,23 @@ def _rates(b: _Builder) -> None:
         y = b.add("h2", b.rng.choice(["ZeroOrderHold", "UnitDelay"]), {"period": 0.15, "offset": 0.05}, u=y)
         b.add("mean", "MovingAverage", {"period": 0.1, "offset": b.rng.choice([0.0, 0.02]), "samples": 3}, u=y)
     if level == "coincide":
-        b.add("pid", "DiscretePID", {"period": 0.1, "kp": b.number(0.5, 2), "ki": 1.0, "kd": 0.1}, r=source, y=y)
-        b.vary("pid.kp", 0.5, 2)
+        if b.rng.random() < 0.5:
+            b.add("pid", "DiscretePID", {"period": 0.1, "kp": b.number(0.5, 2), "ki": 1.0, "kd": 0.1}, r=source, y=y)
+            b.vary("pid.kp", 0.5, 2)
+        else:
+            form = b.rng.choice(["state_space", "transfer_function"])
+            speeds = {"omega_c": b.number(0.5, 2), "omega_o": b.number(3, 6), "b0": b.number(0.5, 2)}
+            limits = {"lower": -3.0, "upper": 2.0, "rate": 20.0, "bumpless": b.rng.random() < 0.5, "u_start": 0.3}
+            b.add(
+                "adrc",
+                "DiscreteADRC",
+                {"period": 0.1, "form": form, **speeds, **limits},
+                r1=source,
+                y=y,
+                manual="wave.y",
+            )
+            b.vary("adrc.b0", 0.5, 2)
+            b.signals.append("adrc.u")
     b.signals.append(y)
 
 
@@ -283,6 +298,8 @@ def _delay(b: _Builder) -> None:
         source = b.add("plant", "FirstOrder", {"k": b.number(0.4, 1.5), "T": b.number(0.1, 0.5)}, u=source)
         b.signals.append(source)
     b.signals.append(b.add("late", "TransportDelay", {"delay": delay}, u=source))
+    if b.rng.random() < 0.5:
+        b.vary("late.delay", 0.1, 0.6)
 
 
 def _vector(b: _Builder) -> None:
@@ -305,7 +322,9 @@ def _defaults(b: _Builder) -> None:
         b.signals.append(b.add("bound", "FirstOrder", {"k": "=p*q", "T": "=0.1+p"}, u=b.source()))
         b.vary("p", 0.5, 1.5)
     elif level == "computed":
-        b.add("observer", "LESO", {"bandwidth": b.number(2, 6)}, y=b.source(), u=b.source())
+        kind = b.rng.choice(["LESO", "GeneralizedESO", "ReducedESO", "CascadeESO"])
+        more = {"frequencies": [b.number(1, 3)], "extension": 1} if kind == "GeneralizedESO" else {}
+        b.add("observer", kind, {"bandwidth": b.number(2, 6), **more}, y=b.source(), u=b.source())
         b.add("control", "PID", {"kp": b.number(0.5, 2), "ki": 1.0, "kd": 0.2}, r=b.source(), y=b.source())
         b.vary("observer.bandwidth", 2, 6)
         b.signals += ["observer.z1", "control.u"]
@@ -452,6 +471,7 @@ def _fmu(b: _Builder) -> None:
         ("ZeroOrderHold", {"period": 0.1}, "sampled"),
         ("UnitDelay", {"period": 0.2}, "sampled"),
         ("DiscretePID", {"period": 0.1, "kp": 2.0, "ki": 1.0, "kd": 0.1}, "sampled"),
+        ("DiscreteADRC", {"period": 0.1, "omega_c": 2.0, "omega_o": 6.0, "lower": -4.0, "bumpless": True}, "sampled"),
         ("DiscreteTransferFunction", {"period": 0.1, "num": [0.5, 0.2], "den": [1, -0.4]}, "sampled"),
         ("FirstOrder", {"T": 0.3}, "continuous"),
         ("Relay", {"on_at": 0.4, "off_at": -0.2}, "continuous"),
@@ -465,13 +485,14 @@ def _fmu(b: _Builder) -> None:
     source = "x.y" if has_loop and b.rng.random() < 0.4 else source
     # An FMU that turns two corners in turn has no way along them: with k < 1 each jump turns one.
     is_closed, k = type_ == "Saturation" and has_loop and b.rng.random() < 0.5, b.number(0.3, 0.95)
-    port, out = ("r", "u") if type_ == "DiscretePID" else ("u", "y")
+    is_control = type_ in ("DiscretePID", "DiscreteADRC")
+    port, out = ("r" if type_ == "DiscretePID" else "r1", "u") if is_control else ("u", "y")
     alone = {
         "format": "blocks-diagram", "version": 3, "name": "own", "inputs": {port: {"default": 0}},
         "outputs": {out: f"b.{out}"}, "blocks": {"b": {"type": type_, "parameters": parameters}},
         "wires": {f"b.{port}": port},
     }  # fmt: skip
-    if type_ == "DiscretePID":
+    if is_control:
         alone["inputs"]["y"], alone["wires"]["b.y"] = {"default": 0}, "y"
     file = f"{type_.lower()}{fmi}.fmu"
     b.fmus[file] = {"fmi": fmi, "diagram": alone}
@@ -482,7 +503,7 @@ def _fmu(b: _Builder) -> None:
     for name in b.rng.sample(list(entries), 2):
         y = f"after_{name}.y" if feedback else read_back
         u = b.add(f"sum_{name}", "Sum", {"signs": "+-"}, u1=source, u2=f"back_{name}.y") if is_closed else source
-        b.entry(name, entries[name], **{port: u}, **({"y": y} if type_ == "DiscretePID" else {}))
+        b.entry(name, entries[name], **{port: u}, **({"y": y} if is_control else {}))
         if is_closed:  # the FMU is a part of an algebraic loop
             b.add(f"back_{name}", "Gain", {"k": k}, u=f"{name}.y")
         b.add(f"after_{name}", "FirstOrder", {"T": 0.25}, u=f"{name}.{out}{last if name == 'f' else ''}")

@@ -51,9 +51,7 @@ def _without_blocks(case: Case, gone: set[str]) -> Case:
     def lost(port: str) -> bool:
         return port.partition(".")[0] in gone
 
-    wires = {
-        sink: "wave.y" if lost(source) else source for sink, source in document["wires"].items() if not lost(sink)
-    }
+    wires = {sink: "wave.y" if lost(source) else source for sink, source in document["wires"].items() if not lost(sink)}
     blocks = {name: entry for name, entry in document["blocks"].items() if name not in gone}
     same = [pair for pair in case["same"] if not lost(pair[0]) and not lost(pair[1])]
     values = {name: value for name, value in case["values"].items() if not lost(name)}

@@ -10,17 +10,23 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
 import blocks
 from blocks import Diagram, Results
+from blocks.compile.toolchain.cache import VARIABLE
+from blocks.engines.native import code
+from blocks.engines.native import model as models
 from blocks.text.errors import BlocksError
 
 from .features import ADAPTIVE, EVERY, IMPLICIT, STOP, Case
@@ -282,6 +288,29 @@ def resumed(case: Case, base: Outcome) -> Iterator[Disagreement]:
         going = given(case).without("inputs").updated(engine=engine, stops=[stop])  # those of the state go on
         later = _outcome(lambda: diagram.run(going, resume=state))  # noqa: B023
         yield from differences(f"whole | resumed at {stop} by {engine}", rest, later, tolerance)
+
+
+@way
+def replaced(case: Case, base: Outcome) -> Iterator[Disagreement]:
+    """Begin by code without optimisation, and go on by the optimised code from half the time on."""
+    if base.error:
+        return
+    with tempfile.TemporaryDirectory() as cache, ExitStack() as stack:
+        stack.enter_context(mock.patch.dict(os.environ, {VARIABLE: cache}))
+        for place, name, value in ((code, "QUICKLY", True), (code, "PATIENCE", 1e9), (models, "_MODELS", {})):
+            stack.enter_context(mock.patch.object(place, name, value))
+
+        def goes_on() -> Results:
+            run = diagram_of(case).start(given(case), engine="native")
+            run.advance_to(STOP / 2)
+            code.PATIENCE = 0.0
+            for model in models._MODELS.values():
+                model.code.hurry(0.0)
+                if model.code._optimising is not None:
+                    model.code._optimising._thread.join()
+            return run.finish()
+
+        yield from differences("run | run whose code is replaced", base, _outcome(goes_on), 0.0)
 
 
 @way
