@@ -7,7 +7,6 @@ import functools
 import math
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -30,6 +29,7 @@ from ..engines.selection import simulation
 from ..host.gc_pause import paused
 from ..host.ipython_errors import UnknownName
 from ..host.progress_line import live_line
+from ..host.user_warning import warn_user
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
@@ -580,7 +580,7 @@ class Run:
 
 
 def _warned(fault: Fault) -> None:
-    warnings.warn(str(fault), RuntimeWarning, stacklevel=2)
+    warn_user(str(fault))
 
 
 def engine_of(run: Run) -> Engine:

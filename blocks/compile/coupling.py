@@ -373,9 +373,11 @@ class _Coupler:
         flat = self.flat
         asked: dict[BlockSource, str] = {}
         for k, block in enumerate(flat.blocks):
+            foreign = block.interface.declaration.foreign
+            is_alone = foreign is not None and foreign.kind == "CS"  # gets what it reads of itself from the master, too
             for sources in block.sources.values():
                 for source in sources:
-                    if isinstance(source, BlockSource) and self.unit_of[source.block] != self.unit_of[k]:
+                    if isinstance(source, BlockSource) and (is_alone or self.unit_of[source.block] != self.unit_of[k]):
                         asked.setdefault(source, self.name_of(source))
         names = [*flat.log]
         for spec in flat.measures:

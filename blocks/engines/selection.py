@@ -6,7 +6,6 @@ An engine is imported when it is first taken: a run needs one of them.
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ from ..compile.plan import Plan
 from ..compile.toolchain.cache import of_user
 from ..compile.toolchain.compiler import find_compiler
 from ..compile.toolchain.isolation_build import compiled
+from ..host.user_warning import warn_user
 from ..text.errors import CompilerError, Fault, FMUError, UsageError, did_you_mean
 from .driver import Simulation
 from .run.engine import ENGINES, VARIABLE, Engine
@@ -149,7 +149,7 @@ def _tell(message: str) -> None:
     """Warn, once in a process."""
     if message not in _told:
         _told.add(message)
-        warnings.warn(message, RuntimeWarning, stacklevel=7)  # where `start` is called
+        warn_user(message)
 
 
 # --- memory ----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ and where the point is opened, the perturbation alone: the signal keeps its valu
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..frequency.delayed import DelayedModel
+from ..host.user_warning import warn_user
 from ..text.arrays import Array
 from ..text.element_names import indexed
 from ..text.errors import AnalysisError, Fault, UsageError
@@ -122,7 +122,7 @@ class Linearization(ReplacedSlopes):
         if transfer.hint:  # of a loop, `margins` says so (E705)
             ways = " -> ".join(", ".join(names) for names in transfer.signals)
             fault = Fault("W702", ways, "a small change does not get through.", transfer.hint)
-            warnings.warn(str(fault), RuntimeWarning, stacklevel=2)
+            warn_user(str(fault))
         return _state_space(transfer)
 
     def transfer(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> Transfer:

@@ -211,8 +211,11 @@ def test_a_model_of_a_saturated_diagram_comes_with_a_warning() -> None:
     limit, plant = d.add("limit", Saturation(lower=-1, upper=1)), d.add("plant", FirstOrder(k=3.0))
     d.wire(limit.u, r)
     d.wire(plant.u, limit.y)
-    with pytest.warns(RuntimeWarning, match=r"^W702 r -> plant.y: .* limit.y passes nothing on at its operating point"):
+    with pytest.warns(
+        RuntimeWarning, match=r"^W702 r -> plant.y: .* limit.y passes nothing on at its operating point"
+    ) as told:
         model = d.linearize(r, plant.y, inputs={"r": 2.0})
+    assert [warning.filename for warning in told] == [__file__]
     assert not model.D.any()
     assert d.linearize(r, plant.y, inputs={"r": 0.5})(0) == pytest.approx(3.0)
 

@@ -1183,3 +1183,16 @@ def test_rows_are_freed_by_the_library_that_allocated_them(monkeypatch: pytest.M
     engine.close()
     engine._free()
     assert freed
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_an_fmu_alone_may_read_itself(engine: str, tmp_path: Path) -> None:
+    """T dy/dt = u - y with u = y stays where it begins; nothing but the FMU itself asks for y."""
+    Diagram.alone(FirstOrder(T=0.3, y_start=2.0)).export(tmp_path / "lag.fmu")
+    d = Diagram("alone")
+    lag = d.add("lag", fmu(tmp_path / "lag.fmu", kind="CS"))
+    d.wire(lag.u, lag.y)
+    for log in ([], ["lag.y"]):
+        results = d.run(stop=1.0, master={"step": 0.1}, log=log, engine=engine, trust=tmp_path)
+        assert results.t[-1] == 1.0
+    assert results["lag.y"] == pytest.approx(2.0, rel=1e-12)
