@@ -86,6 +86,7 @@ class Optimising:
         self._thread.start()
 
     def _compile(self, units: Sequence[TranslationUnit], extra_flags: Sequence[str]) -> None:
-        with contextlib.suppress(CompilerError, OSError):
+        # While a process ends, new threads are refused by RuntimeError, closed pipes by ValueError.
+        with contextlib.suppress(CompilerError, OSError, RuntimeError, ValueError):
             if not apart.is_possible() or apart.built_apart(units, extra_flags):
                 self.path = build(units, extra_flags=extra_flags)
