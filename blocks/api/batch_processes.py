@@ -28,6 +28,10 @@ from ..text.errors import Fault
 BEGIN = f"import sys; sys.path[:] = {{}}; from {__name__} import _serve; _serve()"
 
 
+_BROKEN = (EOFError, OSError, ValueError, pickle.UnpicklingError)
+"""What a pipe raises whose other end is gone, or that Ctrl-C has closed meanwhile (ValueError)."""
+
+
 class Rows(Protocol):
     """What runs one row by itself: a Batch."""
 
@@ -130,7 +134,7 @@ class Worker:
         try:
             _send(process.stdin, (*task[1:], budget))
             ended: Row = pickle.load(process.stdout)  # type: ignore[arg-type]
-        except (EOFError, OSError, pickle.UnpicklingError):
+        except _BROKEN:
             return self._death(process)
         return ended
 
@@ -141,7 +145,7 @@ class Worker:
         try:
             _send(process.stdin, self.text)
             pickle.load(process.stdout)  # type: ignore[arg-type]
-        except (EOFError, OSError, pickle.UnpicklingError):
+        except _BROKEN:
             self.end()
             return None
         return process
