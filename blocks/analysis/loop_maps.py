@@ -19,21 +19,20 @@ import numpy as np
 from ..api.case import Case, PointWords, takes
 from ..api.diagram import Diagram
 from ..compile.bindings import bindings
-from ..compile.plan import Plan
-from ..engines.prepared import Prepared
-from ..frequency.many import Channel, Loops, grid_of, margins_of
+from ..frequency.many import Channel, Loops, between, grid_of, margins_of
 from ..linear.harmonic_balance import Linearizer
+from ..linear.slopes import read_at
 from ..linear.stacked import Stack, stacked
-from ..model.resolver import resolver_of
+from ..linear.transfer import Transfer
 from ..results.plots import Look
 from ..text.arrays import Array
 from ..text.atomic_write import write_atomically
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
+from ..text.printable import legible
 from ..text.rich_output import Shown, Table
 from ..text.units import from_si
 
 if TYPE_CHECKING:
-    from ..linear.operating_point import OperatingPoint
     from ..results.figure import Figure
 
 MEASURES = {
@@ -47,6 +46,8 @@ _MOST = 250_000
 _CHECKED = 1e-8
 _SHOWN = ("Ms", "phase_deg", "disturbance", "noise")
 Limits = Mapping[str, tuple[float | None, float | None]]
+Stacks = list[tuple[Array, Stack]]
+"""Models of points: their numbers, and the models."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,7 +55,7 @@ class LoopMap(Shown):
     """A loop over one or two parameters.
 
     parameters: their names; values: those of each, in their declared units; units: these. measures: by name, (values of
-    the first) or (values of the second, values of the first), nan where the closed loop is not stable. present: what
+    the first) or (values of the second, values of the first), nan where there is no stable closed loop. present: what
     the diagram has. frequency: of `at_frequency`, rad/s.
     """
 
@@ -79,12 +80,16 @@ class LoopMap(Shown):
             values = self._measure(name)
             try:
                 low, high = (None if end is None else float(end) for end in ends)
+                if math.isnan(low or 0.0) or math.isnan(high or 0.0):
+                    raise ValueError
             except (TypeError, ValueError):
                 message = f"must be (least, most), not {str(ends)[:80]}."
                 raise UsageError(Fault("E501", f"limit of {name}", message, f"Example: {name}=(None, 2).")) from None
             for end, sign in ((low, 1.0), (high, -1.0)):
                 if end is not None:
-                    slack = np.fmin(slack, sign * (values - end) / (abs(end) or 1.0))
+                    # What there is none of, as a crossover, lies within nothing.
+                    within = np.nan_to_num(sign * (values - end) / (abs(end) or 1.0), nan=-1.0, posinf=np.inf)
+                    slack = np.minimum(slack, within)
         return slack
 
     def best(self, minimize: str, **limits: tuple[float | None, float | None]) -> dict[str, float]:
@@ -163,7 +168,7 @@ def loop_map(
     pade: int = 0,
     amplitude: Mapping[str, object] | None = None,
     sigma: Mapping[str, object] | None = None,
-    at: OperatingPoint | float | None = None,
+    at: float | None = None,
     **words: Unpack[PointWords],
 ) -> LoopMap:
     """The margins and peaks of `loop_report` over one or two parameters: bandwidths, b0, a gain of the plant.
@@ -172,13 +177,17 @@ def loop_map(
     below on), or a list of more values, in the declared unit. control: the signal at which the loop is opened; output:
     what is controlled. measurement: where noise enters; without it, `output` as all see it. disturbance: an input of
     the diagram or a signal; without it, what is added to the control. frequency: in rad/s, for the measure
-    `at_frequency`. pade: the order of models of exact delays. The others are as of `Diagram.linearizer`.
+    `at_frequency`. pade: the order of models of exact delays. at: a time in s, for the operating point of each point of
+    the map. The others are as of `Diagram.linearizer`.
 
-    Continuous loops are computed all at once, seconds for 100 x 100 points; sampled loops one by one. Laws that bend
-    are taken at the operating point of each point of the map.
+    The matrices of continuous loops are computed all at once, those of sampled loops one by one. Margins are nan where
+    the closed loop is not stable, and where there is none, as behind a saturation at its limit.
 
     Raises UsageError (E501), AnalysisError (E701 to E707).
     """
+    if at is not None and not isinstance(at, (int, float)):
+        raise UsageError(Fault("E501", "at", "must be a time in s: each point of a map has its own operating point."))
+    _check(over, frequency, control=control, output=output, measurement=measurement, disturbance=disturbance)
     names, values = tuple(over), tuple(_axis(name, given, points) for name, given in over.items())
     if not 1 <= len(names) <= 2:
         raise UsageError(Fault("E501", "over", f"names {len(names)} parameters.", "Give one or two."))
@@ -191,17 +200,29 @@ def loop_map(
     case = Case() if case is None else case
     case = case.updated(**words) if words else case
     each = [dict(zip(names, row, strict=True)) for row in _rows(values)]
-    linearizer = _at(diagram, case, each[0], point)
-    stack = _at_once(diagram, case, each, linearizer, ends, pade, point)
-    if stack is None:
-        stack = _one_by_one(diagram, case, each, ends, pade, point)
-    found = _measures(stack, ends, (control, output, measured, enters), frequency)
+    stacks = _at_once(diagram, case, each, ends, pade, point) or _one_by_one(diagram, case, each, ends, pade, point)
+    found = _measures(stacks, len(each), ends, (control, output, measured, enters), frequency)
     shape = tuple(len(each) for each in reversed(values))
     given, units = _present(diagram, case, names)
     return LoopMap(
         diagram.name, control, output, names, units, values,
         {name: numbers.reshape(shape) for name, numbers in found.items()}, given, frequency,
     )  # fmt: skip
+
+
+def _check(over: object, frequency: object, **signals: object) -> None:
+    """Raise UsageError (E501) for what is of another kind."""
+    if not isinstance(over, Mapping):
+        cure = 'Example: over={"control.omega_c": (1, 30)}.'
+        raise UsageError(Fault("E501", "over", f"must be a mapping, not {legible(repr(over)[:80])}.", cure))
+    for word, name in signals.items():
+        if not isinstance(name, str):
+            message = f"must be the name of one signal, not {legible(repr(name)[:80])}."
+            raise UsageError(Fault("E501", word, message, "Write names as texts."))
+    is_number = isinstance(frequency, (int, float, np.number)) and not isinstance(frequency, bool)
+    if frequency is not None and not (is_number and 0 <= frequency < math.inf):  # type: ignore[operator]
+        message = f"must be a number of rad/s from 0 on, not {legible(repr(frequency)[:80])}."
+        raise UsageError(Fault("E501", "frequency", message))
 
 
 def _rows(values: tuple[Array, ...]) -> Iterator[tuple[float, ...]]:
@@ -234,39 +255,42 @@ def _at_once(
     diagram: Diagram,
     case: Case,
     each: Sequence[Mapping[str, float]],
-    linearizer: Linearizer,
     ends: tuple[list[str], list[str]],
     pade: int,
     point: Mapping[str, Any],
-) -> Stack | None:
-    """The models of all points from the rows p of one Plan; None where that is not what single points give."""
-    plan = linearizer.plan
-    value, resolver = case.of(diagram.value), resolver_of({**diagram.types})
-    given = {**case.parameters, **each[0]}
-    prepared = Prepared.of(value, resolver, given, case.settings, trust=case.trust)
-    if not isinstance(prepared.plan, Plan) or len(prepared.plan.parameters) != len(plan.parameters):
-        return None
-    rebinding, seed = prepared.rebinding(), plan.settings.seed
-    if not rebinding.is_possible:
-        return None
-    rows = [rebinding.row({**given, **one}, seed) for one in each]
-    known = [row for row in rows if row is not None]
-    if len(known) < len(rows) or known[0] != tuple(plan.parameters):
-        return None
-    stack = stacked(linearizer, np.array(known), *ends, pade=pade)
+) -> Stacks:
+    """The models of all points from one Plan; none where that is not what single points give."""
+    linearizer = _at(diagram, case, each[0], point)
+    graph, plan, columns = linearizer.graph, linearizer.plan, []
+    for one in each:
+        at = diagram.point(case.updated(parameters={**case.parameters, **one}), at=point["at"])
+        if at.plan.instances is not plan.instances or at.plan.delays != plan.delays:
+            return []
+        columns.append(read_at(graph, at))
+    stack = stacked(linearizer, np.stack(columns, axis=1), *ends, pade=pade)
     if stack is None:
-        return None
+        return []
     for k in {0, len(each) // 3, (2 * len(each)) // 3, len(each) - 1}:
-        single = _at(diagram, case, each[k], point).transfer(*ends, pade=pade)
-        if not all(_is_equal(getattr(single, key), getattr(stack, key)[k]) for key in "ABCD"):
-            return None
-    return stack
+        if not _is_seen_in(stack, k, _at(diagram, case, each[k], point).transfer(*ends, pade=pade)):
+            return []
+    return [(np.arange(len(each)), stack)]
 
 
-def _is_equal(one: Array, other: Array) -> bool:
-    if one.shape != other.shape:
-        return False
-    return bool(np.abs(one - other).max(initial=0.0) <= _CHECKED * np.abs(one).max(initial=0.0))
+def _is_seen_in(stack: Stack, k: int, single: Transfer) -> bool:
+    """Whether the k-th model responds as a single one, which leaves out the states that have no part at its point."""
+    whole = Stack(*(getattr(stack, key)[k : k + 1] for key in "ABCD"))
+    alone = Stack(*(getattr(single, key)[None] for key in "ABCD"))
+    scale = float(np.abs(np.linalg.eigvals(single.A)).max(initial=1.0))
+    omega = scale * np.array([[1e-6, 1e-4, 1e-2, 1.0, 1e2]])
+    for i in range(whole.B.shape[2]):
+        for o in range(whole.C.shape[1]):
+            own, other = (
+                Loops(each.A).response(each.B[:, :, i], each.C[:, o], each.D[:, o, i])(np.zeros(1, dtype=int), omega)
+                for each in (whole, alone)
+            )
+            if not (np.abs(own - other) <= _CHECKED * np.abs(other)).all():
+                return False
+    return True
 
 
 def _one_by_one(
@@ -276,41 +300,77 @@ def _one_by_one(
     ends: tuple[list[str], list[str]],
     pade: int,
     point: Mapping[str, Any],
-) -> Stack:
+) -> Stacks:
+    """The same from one model at a time, those of equal size and period together."""
     models = [_at(diagram, case, one, point).transfer(*ends, pade=pade) for one in each]
-    if len({(model.A.shape, model.dt) for model in models}) > 1:
-        message = "has other states or periods at other points of the map, so that it has no map."
-        raise AnalysisError(Fault("E705", diagram.name, message, "Choose ranges without 0, or other parameters."))
-    A, B, C, D = (np.stack([getattr(model, key) for model in models]) for key in "ABCD")
-    return Stack(A, B, C, D, models[0].dt)
+    kinds: dict[object, list[int]] = {}
+    for k, model in enumerate(models):
+        kinds.setdefault((model.A.shape, model.dt), []).append(k)
+    stacks = []
+    for rows in kinds.values():
+        A, B, C, D = (np.stack([getattr(models[k], key) for k in rows]) for key in "ABCD")
+        stacks.append((np.array(rows), Stack(A, B, C, D, models[rows[0]].dt)))
+    return stacks
 
 
 def _measures(
-    stack: Stack, ends: tuple[list[str], list[str]], signals: tuple[str, ...], frequency: float | None
+    stacks: Stacks, count: int, ends: tuple[list[str], list[str]], signals: tuple[str, ...], frequency: float | None
 ) -> dict[str, Array]:
     control, output, measured, enters = signals
-    ins, outs = ends
-    poles = np.linalg.eigvals(stack.A) if stack.A.shape[1] else np.zeros((len(stack.A), 0), dtype=complex)
-    if stack.dt:
+    found: dict[str, Array] = {}
+
+    def note(name: str, rows: Array, values: Array) -> None:
+        found.setdefault(name, np.full(count, np.nan))[rows] = values
+
+    for rows, stack in stacks:
+        known = _Loops(stack, ends)
+        stable = np.zeros(len(rows), dtype=bool)
+        for own, is_stable, channel in known.channels(control, control):
+            # Where nothing comes back, as behind a saturation at its limit, there is no loop and no margin.
+            stable[own] = is_stable & (channel.values != 1).any(axis=1)
+            for name, values in margins_of(channel, stable[own]).items():
+                note(name, rows[own], values)
+        for name, source, sink in (("disturbance", enters, output), ("noise", measured, control)):
+            for own, _, channel in known.channels(source, sink):
+                note(name, rows[own], np.where(stable[own], channel.peaks()[0], np.nan))
+                if name == "disturbance" and frequency is not None:
+                    at = np.full((len(own), 1), float(frequency))
+                    values = np.abs(channel.at(np.arange(len(own)), at))[:, 0]
+                    note("at_frequency", rows[own], np.where(stable[own], values, np.nan))
+    return found
+
+
+class _Loops:
+    """The closed loops of a stack, each with the states alone that lie between an input and an output."""
+
+    def __init__(self, stack: Stack, ends: tuple[list[str], list[str]]) -> None:
+        self.stack, self.ends = stack, ends
+        self.known: dict[bytes, tuple[Loops, Array, Array]] = {}
+
+    def channels(self, source: str, sink: str) -> Iterator[tuple[Array, Array, Channel]]:
+        """Rows with the same states between the two; which of them are stable; the channel."""
+        stack, i, o = self.stack, self.ends[0].index(source), self.ends[1].index(sink)
+        B, C, D = stack.B[:, :, i], stack.C[:, o], stack.D[:, o, i]
+        kept = between(stack.A, B, C)
+        for mask in np.unique(kept, axis=0):
+            rows = np.flatnonzero((kept == mask).all(axis=1))
+            key = mask.tobytes() + rows.tobytes()
+            if key not in self.known:
+                self.known[key] = _closed(stack.A[np.ix_(rows, mask, mask)], stack.dt)
+            loops, stable, omega = self.known[key]
+            yield rows, stable, Channel(loops.response(B[np.ix_(rows, mask)], C[np.ix_(rows, mask)], D[rows]), omega)
+
+
+def _closed(A: Array, dt: float) -> tuple[Loops, Array, Array]:
+    """Closed loops with the same states: which of them are stable, and at which frequencies to look."""
+    poles = np.linalg.eigvals(A).astype(complex) if A.shape[1] else np.zeros((len(A), 0), dtype=complex)
+    if dt:
         stable = (np.abs(poles) < 1).all(axis=1)
         with np.errstate(all="ignore"):
-            poles = np.log(poles.astype(complex)) / stack.dt
+            poles = np.log(poles) / dt
     else:
         stable = (poles.real < 0).all(axis=1)
-    omega, loops = grid_of(poles, stack.dt), Loops(stack.A, stack.dt)
-
-    def channel(source: str, sink: str) -> Channel:
-        i, o = ins.index(source), outs.index(sink)
-        return Channel(loops.response(stack.B[:, :, i], stack.C[:, o], stack.D[:, o, i]), omega)
-
-    found = margins_of(channel(control, control), np.asarray(stable))
-    rejection = channel(enters, output)
-    found["disturbance"] = np.where(stable, rejection.peaks()[0], np.nan)
-    found["noise"] = np.where(stable, channel(measured, control).peaks()[0], np.nan)
-    if frequency is not None:
-        at = np.full((len(omega), 1), float(frequency))
-        found["at_frequency"] = np.where(stable, np.abs(rejection.at(np.arange(len(omega)), at))[:, 0], np.nan)
-    return found
+    return Loops(A, dt), np.asarray(stable), grid_of(poles, dt)
 
 
 def _present(diagram: Diagram, case: Case, names: tuple[str, ...]) -> tuple[tuple[float, ...], tuple[str, ...]]:

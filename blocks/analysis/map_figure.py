@@ -84,7 +84,7 @@ def _plane(axis: Axes, found: Mapped, values: Array, slack: Array | None) -> Non
     if len(known) and known.min() < known.max():
         lines = axis.contour(x, y, values, levels=_levels(known), colors=[STYLES[1][0]], linewidths=0.9)
         axis.clabel(lines, fmt=_short, fontsize=SMALL - 1, colors=[INK])
-    _hatched(axis, x, y, values)
+    _hatched(axis, x, y, found.measures["Ms"])
     at = found.present
     if x[0] <= at[0] <= x[-1] and y[0] <= at[1] <= y[-1]:
         axis.plot([at[0]], [at[1]], "x", color=STYLES[0][0], markersize=7, markeredgewidth=1.8)
@@ -92,9 +92,9 @@ def _plane(axis: Axes, found: Mapped, values: Array, slack: Array | None) -> Non
     axis.set_ylim(y[0], y[-1])
 
 
-def _hatched(axis: Axes, x: Array, y: Array, values: Array) -> None:
+def _hatched(axis: Axes, x: Array, y: Array, Ms: Array) -> None:
     """Where the closed loop is not stable."""
-    unstable = np.isnan(values)
+    unstable = np.isnan(Ms)
     if unstable.any() and not unstable.all():
         hatched = axis.contourf(x, y, unstable.astype(float), levels=[0.5, 1.5], colors=["none"], hatches=["////"])
         hatched.set_edgecolor(FAINT)

@@ -25,18 +25,23 @@ class Loops:
     """Systems with the same A for all their channels: (rows, n, n). dt: 0 for continuous ones."""
 
     def __init__(self, A: Array, dt: float = 0.0) -> None:
-        from scipy.linalg import hessenberg
+        from scipy.linalg import hessenberg, matrix_balance
 
-        self.dt, self.H, self.q = dt, np.empty_like(A), np.empty_like(A)
+        self.dt, self.H, self.q, self.scale = dt, np.empty_like(A), np.empty_like(A), np.ones(A.shape[:2])
+        if not A.shape[1]:
+            return
         for k, matrix in enumerate(A):
-            self.H[k], self.q[k] = hessenberg(matrix, calc_q=True) if len(matrix) else (matrix, matrix)
+            # Gains of observers rise by powers of the bandwidth: beside them the plant would be lost in rounding.
+            even, (self.scale[k], _) = matrix_balance(matrix, permute=False, separate=True)
+            self.H[k], self.q[k] = hessenberg(even, calc_q=True)
 
     def response(self, B: Array, C: Array, D: Array) -> Response:
         """Return the function of rows and frequencies [rad/s] (rows, count) that gives C (p - A)^-1 B + D.
 
         B: (rows, n), C: (rows, n), D: (rows): of one input and one output. p is jw, or exp(jw dt).
         """
-        b, c = np.einsum("kji,kj->ki", self.q, B), np.einsum("kj,kji->ki", C, self.q)
+        b = np.einsum("kji,kj->ki", self.q, B / self.scale)
+        c = np.einsum("kj,kji->ki", C * self.scale, self.q)
 
         def response(rows: Array, omega: Array) -> Array:
             found = np.empty(omega.shape, dtype=complex)
@@ -79,6 +84,18 @@ def _solved(H: Array, b: Array, c: Array, p: Array) -> Array:
         return found
 
 
+def between(A: Array, B: Array, C: Array) -> Array:
+    """Which states lie between one input and one output of each row: (rows, n). The others have no part in it."""
+    links = A != 0
+
+    def reached(seen: Array, links: Array) -> Array:
+        for _ in range(A.shape[1]):
+            seen = seen | (links & seen[:, None, :]).any(axis=2)
+        return seen
+
+    return reached(B != 0, links) & reached(C != 0, links.transpose(0, 2, 1))
+
+
 def grid_of(poles: Array, dt: float = 0.0) -> Array:
     """Frequencies for each row of poles [1/s]: two decades around all of them, and close to each; up to pi/dt."""
     if dt:
@@ -112,10 +129,17 @@ class Channel:
 
     def peaks(self, of: Callable[[Array], Array] = lambda response: response) -> tuple[Array, Array]:
         """The largest |of(response)| of each row, and its frequency."""
-        omega, rows = self.omega, np.arange(len(self.omega))
-        sizes = np.abs(of(self.values))
-        at = np.argmax(np.nan_to_num(sizes, nan=-1.0), axis=1)
-        best, place = sizes[rows, at], omega[rows, at]
+        count, edge = len(self.omega), np.abs(of(self.values[:, 0]))
+        sizes = np.nan_to_num(np.abs(of(self.values)), nan=-1.0)
+        # Of two summits of nearly one height, the grid may see the lower one higher.
+        first = np.argmax(sizes, axis=1)
+        inner = np.pad(sizes, ((0, 0), (1, 1)), constant_values=-1.0)
+        is_other = np.abs(self.omega / self.omega[np.arange(count), first][:, None] - 1) > 1e-6
+        is_other &= (sizes >= inner[:, :-2]) & (sizes >= inner[:, 2:])
+        at = np.concatenate([first, np.argmax(np.where(is_other, sizes, -1.0), axis=1)])
+        rows = np.tile(np.arange(count), 2)
+        omega, sizes = self.omega[rows], sizes[rows]
+        best, place = sizes[np.arange(2 * count), at], omega[np.arange(2 * count), at]
         # Poles that lie together make points that do.
         low = np.log(np.where(omega < place[:, None] * (1 - 1e-9), omega, omega[:, :1]).max(axis=1))
         high = np.log(np.where(omega > place[:, None] * (1 + 1e-9), omega, omega[:, -1:]).min(axis=1))
@@ -135,17 +159,23 @@ class Channel:
             left, right = np.where(goes_left, new, kept), np.where(goes_left, kept, new)
             of_left, of_right = np.where(goes_left, of_new, known), np.where(goes_left, known, of_new)
             x, best = np.where(of_new > best, new, x), np.fmax(best, of_new)
-        for end, frequency in zip(np.abs(of(self.ends)).T, (-np.inf, np.inf), strict=True):
+        higher = np.where(best[:count] >= best[count:], np.arange(count), np.arange(count, 2 * count))
+        x, best = x[higher], best[higher]
+        ends = np.abs(of(self.ends))
+        # A pole at rest: all others are farther than the grid reaches.
+        ends[:, 0] = np.where(ends[:, 0] > 10.0 * edge, np.inf, ends[:, 0])
+        for end, frequency in zip(ends.T, (-np.inf, np.inf), strict=True):
             x, best = np.where(end > best, frequency, x), np.fmax(best, end)
         return best, np.exp(x)
 
     def crossings(self, of: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
         """Where a real function of the response changes its sign: the rows, the frequencies, the responses there."""
-        values = of(self.values)
+        values, x = of(self.values), np.log(self.omega)
         k, m = np.nonzero(values[:, :-1] * values[:, 1:] < 0)
-        a, b = np.log(self.omega[k, m]), np.log(self.omega[k, m + 1])
-        fa, fb = values[k, m], values[k, m + 1]
-        for _ in range(8):  # Illinois: a bracket by secants, where the end that stays loses half of its value
+        a, b, fa, fb = x[k, m], x[k, m + 1], values[k, m], values[k, m + 1]
+        pairs = self._pairs(of, values, x)
+        k, a, b, fa, fb = (np.concatenate([own, more]) for own, more in zip((k, a, b, fa, fb), pairs, strict=True))
+        for _ in range(12):  # Illinois: a bracket by secants, where the end that stays loses half of its value
             x = b - fb * (b - a) / np.where(fb == fa, 1.0, fb - fa)
             fx = of(self.at(k, np.exp(x)[:, None]))[:, 0]
             flips = fx * fb < 0
@@ -153,6 +183,26 @@ class Channel:
             b, fb = x, fx
         w = np.exp(b)
         return k, w, self.at(k, w[:, None])[:, 0]
+
+    def _pairs(self, of: Callable[[Array], Array], values: Array, x: Array) -> tuple[Array, ...]:
+        """Brackets of two crossings between points of the grid: where a parabola turns on the other side of 0."""
+        left, here, right = values[:, :-2], values[:, 1:-1], values[:, 2:]
+        near = (left * here > 0) & (right * here > 0) & (np.abs(here) <= np.fmin(np.abs(left), np.abs(right)))
+        k, m = np.nonzero(near)
+        x0, x1, x2 = x[k, m], x[k, m + 1], x[k, m + 2]
+        f0, f1, f2 = values[k, m], values[k, m + 1], values[k, m + 2]
+        with np.errstate(all="ignore"):
+            up, down = (x1 - x0) * (f1 - f2), (x1 - x2) * (f1 - f0)
+            turn = x1 - 0.5 * ((x1 - x0) * up - (x1 - x2) * down) / (up - down)
+        inside = (turn > x0) & (turn < x2) & (turn != x1)
+        k, turn, x0, x1, x2, f0, f1, f2 = (each[inside] for each in (k, turn, x0, x1, x2, f0, f1, f2))
+        f = of(self.at(k, np.exp(turn)[:, None]))[:, 0]
+        two = f * f1 < 0
+        k, turn, x0, x1, x2, f0, f1, f2, f = (each[two] for each in (k, turn, x0, x1, x2, f0, f1, f2, f))
+        low, f_low = np.where(turn < x1, x0, x1), np.where(turn < x1, f0, f1)
+        high, f_high = np.where(turn < x1, x1, x2), np.where(turn < x1, f1, f2)
+        ends = ((k, k), (low, turn), (turn, high), (f_low, f), (f, f_high))
+        return tuple(np.concatenate(pair) for pair in ends)
 
 
 def margins_of(sensitivity: Channel, stable: Array) -> dict[str, Array]:
@@ -169,8 +219,11 @@ def margins_of(sensitivity: Channel, stable: Array) -> dict[str, Array]:
     # L is real where S is. Far out L vanishes, and what is left of its imaginary part is rounding.
     k, _, S = sensitivity.crossings(lambda S: np.where(np.abs(1 - S) < 1e-9, 0.0, S.imag))
     with np.errstate(all="ignore"):
-        L = (1 / S - 1).real
-    real = L < -1e-9
+        L, ends = (1 / S - 1).real, 1 / sensitivity.ends - 1
+    # It is real at 0 and at infinity too, where nothing changes its sign.
+    row, end = np.nonzero(np.abs(ends.imag) < 1e-6 * np.abs(ends.real))
+    k, L = np.concatenate([k, row]), np.concatenate([L, ends.real[row, end]])
+    real = (L < -1e-9) & (L > -1e9)  # where the open loop has a pole on the axis, S is rounding
     k, factor = k[real], -1 / L[real]
     up = factor >= 1
     np.minimum.at(gain, k[up], factor[up])
@@ -180,7 +233,8 @@ def margins_of(sensitivity: Channel, stable: Array) -> dict[str, Array]:
     k, w, S = sensitivity.crossings(lambda S: S.real - 0.5)
     angle = np.angle(1 - 1 / S)
     np.minimum.at(delay, k, np.mod(angle, 2 * np.pi) / w)
-    order = np.argsort(-np.abs(angle), kind="stable")
+    # Of equal ones, but for rounding, that of the lowest frequency.
+    order = np.lexsort((w, np.round(np.abs(angle), 9)))[::-1]
     phase[k[order]], crossover[k[order]] = np.degrees(angle[order]), w[order]
     found = {
         "gain": gain, "gain_low": low, "phase_deg": phase, "delay": delay, "crossover": crossover, "Ms": Ms, "Mt": Mt,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -56,8 +55,8 @@ def slopes_at(point: Point) -> Slopes:
 
 def _slopes(graph: Interconnection, point: Point) -> Slopes:
     """The partial derivatives at a point, with the laws that have none there."""
-    everything, told = _everything(graph, point), dict[int, str]()
-    numbers = _partials(graph, everything)
+    everything, told = with_locals(graph, read_at(graph, point)), dict[int, str]()
+    numbers = partials_of(graph, everything)
     first = 0
     for group in graph.groups:
         kind, size = group.type, len(group.members)
@@ -71,16 +70,11 @@ def _slopes(graph: Interconnection, point: Point) -> Slopes:
     return slopes
 
 
-def partials_of_rows(slopes: Slopes, rows: Array) -> Array:
-    """The partial derivatives where the parameters are others, (partials, rows): signals stay as they are.
+def partials_of(graph: Interconnection, everything: Array) -> Array:
+    """The partial derivatives by the tapes of all types, from all that equations read; those of FMUs are not set.
 
-    rows: rows p of the Plan, one below the other. Derivatives of FMUs are left out.
+    everything: of one point, or of many with a column for each.
     """
-    return _partials(slopes.graph, _everything(slopes.graph, slopes.point, rows.T))
-
-
-def _partials(graph: Interconnection, everything: Array) -> Array:
-    """The partial derivatives by the tapes of all types, from all that equations read; those of FMUs are not set."""
     numbers, first = np.empty((len(graph.partial_rows), *everything.shape[1:])), 0
     for group in graph.groups:
         kind, size = group.type, len(group.members)
@@ -100,22 +94,24 @@ def _partials(graph: Interconnection, everything: Array) -> Array:
     return numbers
 
 
-def _everything(graph: Interconnection, point: Point, parameters: Array | None = None) -> Array:
-    """All that equations read, in one row. parameters: others, (parameters, rows); there is a column for each row."""
+def read_at(graph: Interconnection, point: Point) -> Array:
+    """All that equations read at a point, in one row, but for locals."""
     t, x, d, s, p, u, k, h, *_ = point.memory
-    shape = graph.width + len(graph.numbers)
-    values = np.empty(shape if parameters is None else (shape, parameters.shape[1]))
+    values = np.empty(graph.width + len(graph.numbers))
     parts = {"x": x, "d": d, "s": s, "p": p, "u": u, "h": h, "w": point.outputs}
-    values[graph.begin["tick"] : graph.begin["h"]] = _column(k, values)
+    values[graph.begin["tick"] : graph.begin["h"]] = k
     for row, numbers in parts.items():
-        values[graph.begin[row] : graph.begin[row] + len(numbers)] = _column(numbers, values)
-    if parameters is not None:
-        values[graph.begin["p"] : graph.begin["p"] + len(parameters)] = parameters
+        values[graph.begin[row] : graph.begin[row] + len(numbers)] = numbers
     for slot, value in graph.begun:
         values[graph.begin["d"] + slot] = value
     values[graph.begin["t"]], values[graph.begin["c"]] = t, 0.0
-    values[graph.width :] = _column(graph.numbers, values)
-    for group in graph.groups:  # locals, by the tapes that see through them
+    values[graph.width :] = graph.numbers
+    return values
+
+
+def with_locals(graph: Interconnection, values: Array) -> Array:
+    """The same row, or a column for each of many points, with the locals, by the tapes that see through them."""
+    for group in graph.groups:
         kind = group.type
         if not kind.locals:
             continue
@@ -125,12 +121,6 @@ def _everything(graph: Interconnection, point: Point, parameters: Array | None =
         for places, value in zip(group.locals, local_values, strict=True):
             values[places] = value
     return values
-
-
-def _column(numbers: Any, values: Array) -> Array:
-    """Numbers beside rows of one or of many columns."""
-    row = np.asarray(numbers, dtype=float)
-    return row if values.ndim == 1 else row[:, None]
 
 
 class Slopes:

@@ -1,10 +1,8 @@
-"""Linear models of one diagram for many rows of parameters at once: stacks of matrices.
+"""Linear models of one diagram at many points at once, each with its own parameters: stacks of matrices.
 
-    stack = stacked(linearizer, rows, ["control.u"], ["control.u", "plant.y"])
-    stack.A[k]                                              # of the k-th row
-
-Signals stay at the operating point of the linearizer, so that the models of a diagram with laws that bend where it
-works are those of a fixed operating point.
+points = np.stack([read_at(linearizer.graph, point) for point in ...], axis=1)
+stack = stacked(linearizer, points, ["control.u"], ["control.u", "plant.y"])
+stack.A[k]                                              # at the k-th point
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from .equation_matrix import wiring
 from .linearization import Linearization
 from .reduction import Wired, contributing, matrices_of, variables
 from .signals import Names
-from .slopes import partials_of_rows
+from .slopes import partials_of, with_locals
 
 _NUMBERS = 2**22
 """Numbers of the matrices that are eliminated at once."""
@@ -29,7 +27,7 @@ _NUMBERS = 2**22
 
 @dataclass(frozen=True)
 class Stack:
-    """dx/dt = A x + B e, y = C x + D e for each row: (rows, n, n), (rows, n, inputs), ...; with dt, x at ticks."""
+    """dx/dt = A x + B e, y = C x + D e of each: (count, n, n), (count, n, inputs), ...; with dt, x at ticks."""
 
     A: Array
     B: Array
@@ -38,26 +36,35 @@ class Stack:
     dt: float = 0.0
 
 
-def stacked(linearizer: Linearization, rows: Array, inputs: Names, outputs: Names, *, pade: int = 0) -> Stack | None:
-    """The models of `linearizer.transfer(inputs, outputs, pade=pade)` for many rows p of the Plan.
+def stacked(linearizer: Linearization, points: Array, inputs: Names, outputs: Names, *, pade: int = 0) -> Stack | None:
+    """The models of `linearizer.transfer(inputs, outputs, pade=pade)` at many points, the columns of `read_at`.
 
-    None where models cannot be stacked: sampled blocks or FMUs contribute, or delays are to stay exact. Raises
-    UsageError (E501), AnalysisError (E701, E703).
+    None where models cannot be stacked: sampled blocks or FMUs contribute, delays are to stay exact, describing
+    functions differ, or subdiagrams are on at some points alone. Raises UsageError (E501), AnalysisError (E701, E703).
     """
     graph = linearizer.graph
     if any(isinstance(group.type.tape, FmuTape) for group in graph.groups):
         return None
     ins, outs = linearizer.ends(inputs, outputs)
     whole = wiring(linearizer, ins, outs, (), (), ())
-    partials = partials_of_rows(linearizer.slopes, rows)
-    for place in linearizer.described:
-        if (at := graph.entry_of.get(place)) is not None:
+    sides = points[graph.begin["s"] :][[side for _, side in graph.enabled]]
+    if (sides != sides[:, :1]).any():
+        return None
+    everything = with_locals(graph, points)
+    partials = partials_of(graph, everything)
+    for node, slot in linearizer.described:
+        i, key, element = graph.nodes[node]
+        group, member = graph.group_of[i]
+        read = everything[group.gather[list(group.type.tape.read_by[key][element]), member]]
+        if (read != read[:, :1]).any():
+            return None
+        if (at := graph.entry_of.get((node, slot))) is not None:
             partials[at] = linearizer.data[at]
     _, slots, values = linearizer.entries_of(partials)
     values = values[whole.selects[slots] >= 0]
     constant = whole.entries.values[len(values) :, None]
-    values = np.concatenate([values, np.broadcast_to(constant, (len(constant), len(rows)))])
-    # What contributes in one of the rows is kept in all.
+    values = np.concatenate([values, np.broadcast_to(constant, (len(constant), points.shape[1]))])
+    # What contributes at one of the points is kept at all.
     largest = replace(whole, entries=replace(whole.entries, values=np.abs(values).max(axis=1)))
     kept = contributing(linearizer, largest)
     x, d, h, z, e = variables(linearizer, largest, kept)
@@ -70,7 +77,7 @@ def stacked(linearizer: Linearization, rows: Array, inputs: Names, outputs: Name
     measured = [position.get(m, -1) for m in whole.measured]
     parts: list[tuple[Array, ...]] = []
     chunk = max(1, _NUMBERS // max(1, shape[0] * shape[1]))
-    for begin in range(0, len(rows), chunk):
+    for begin in range(0, points.shape[1], chunk):
         dense = np.moveaxis((place @ values[:, begin : begin + chunk]).reshape(*shape, -1), 2, 0)
         if not np.isfinite(dense).all():
             return None

@@ -12,12 +12,17 @@ from blocks import (
     ADRC,
     PID,
     AnalysisError,
+    Constant,
     Diagram,
     DiscreteADRC,
+    Expression,
+    Gain,
+    Integrator,
     ModelError,
     Saturation,
     Sine,
     Step,
+    Sum,
     TransferFunction,
     TransportDelay,
     UsageError,
@@ -214,6 +219,11 @@ def test_the_table_and_the_figure_of_a_map(tmp_path: Path) -> None:
         ({"over": OVER, "points": 600}, "360000 points"),
         ({"over": {"control.nothing": (1.0, 2.0)}}, "nothing"),
         ({"over": OVER, "control": "no.u"}, "no.u"),
+        ({"over": OVER, "control": ["control.u"]}, "name of one signal"),
+        ({"over": "control.b0"}, "mapping"),
+        ({"over": OVER, "frequency": -1.0}, "from 0 on"),
+        ({"over": OVER, "frequency": "3"}, "from 0 on"),
+        ({"over": OVER, "at": "now"}, "a time in s"),
     ],
 )
 def test_what_makes_no_map_is_refused(given: dict[str, Any], said: str) -> None:
@@ -273,3 +283,134 @@ def test_the_robot_of_the_paper_at_an_amplitude_beside_laws_without_a_slope() ->
     for place in ((0, 0), (1, 2)):
         given = {"Jeq": float(found.values[0][place[1]]), "control_right.Jeq": float(found.values[1][place[0]])}
         same(found, place, margins(d.linearizer(parameters=given, amplitude=amplitude).loop("control_right.u")))
+
+
+def simple_loop(num: list[float], den: list[float]) -> Diagram:
+    """A gain before a plant, with a feedback of 1."""
+    d = Diagram("simple")
+    r, error, gain = d.add("r", Step(at=0.5)), d.add("error", Sum(signs="+-")), d.add("gain", Gain())
+    plant = d.add("plant", TransferFunction(num=num, den=den))
+    d.wire(error.u1, r.y)
+    d.wire(error.u2, plant.y)
+    d.wire(gain.u, error.y)
+    d.wire(plant.u, gain.y)
+    return d
+
+
+def test_gains_of_a_fast_observer_leave_the_plant_its_digits() -> None:
+    d = loop_of(ADRC(3, b0=2.0, omega_c=4.0, omega_o=20.0), TransferFunction(num=[2.0], den=[1.0, 1.0, 0.5, 0.3]))
+    found = loop_map(d, "control.u", "plant.y", over={"control.omega_o": [50.0, 1000.0, 3000.0]})
+    for k, w in enumerate(found.values[0]):
+        known = loop_report(d, "control.u", "plant.y", parameters={"control.omega_o": float(w)})
+        same(found, (k,), known.margins, 1e-6)
+        assert found.measures["disturbance"][k] == pytest.approx(known.peak_disturbance[0], rel=1e-6)
+
+
+def test_a_gain_margin_at_rest_is_found() -> None:
+    d = simple_loop([2.0], [1.0, -1.0])  # 2 k/(s - 1) is stable for k above 1/2, where L(0) = -1
+    found = loop_map(d, "gain.y", "plant.y", over={"gain.k": [0.4, 0.51, 1.0, 10.0]})
+    assert found.measures["gain_low"][1:] == pytest.approx(0.5 / found.values[0][1:], rel=1e-9)
+    assert np.isnan(found.measures["gain_low"][0])
+
+
+def test_of_equal_phase_margins_that_of_the_lowest_frequency_is_the_crossover() -> None:
+    d = simple_loop([1.0, 0.0, 1.0], [1.0, 0.0, 4.0, 0.0])  # a phase of 90 degrees at each frequency
+    found = loop_map(d, "gain.y", "plant.y", over={"gain.k": [0.4, 1.9, 3.0, 100.0]})
+    for k, gain in enumerate(found.values[0]):
+        same(found, (k,), margins(d.linearizer(parameters={"gain.k": float(gain)}).loop("gain.y")))
+
+
+def test_the_higher_one_of_two_summits_is_the_peak() -> None:
+    d = simple_loop([1.0], [1.0, 0.0])
+    for name, source, delay in (("late", "gain.y", 0.4), ("later", "late.y", 0.1)):
+        d.add(name, TransportDelay(delay=delay))
+        d.wire(f"{name}.u", source)
+    d.unwire("plant.u")
+    d.wire("plant.u", "later.y")
+    found = loop_map(d, "gain.y", "plant.y", over={"gain.k": [0.9, 1.0, 1.1]}, pade=3)
+    for k, gain in enumerate(found.values[0]):
+        known = margins(d.linearizer(parameters={"gain.k": float(gain)}).loop("gain.y", pade=3))
+        assert found.measures["Ms"][k] == pytest.approx(known.Ms, rel=1e-8)
+
+
+def test_two_crossings_between_points_of_the_grid_are_found() -> None:
+    d = loop_of(PID(kp=1.5, ki=3.0, kd=0.5, Tf=0.02))  # the phase is beyond -180 degrees from 1.29 to 1.33 rad/s
+    found = loop_map(d, "control.u", "plant.y", over={"control.kp": [1.45, 1.5, 1.55, 1.6]})
+    for k, gain in enumerate(found.values[0]):
+        same(found, (k,), margins(d.linearizer(parameters={"control.kp": float(gain)}).loop("control.u")))
+
+
+@pytest.mark.parametrize("den", [[1.0, 1.0], [1.0, 1.0, 0.0]])
+@pytest.mark.parametrize("words", [{"output": "way.y"}, {"output": "plant.y", "disturbance": "wind.y"}])
+def test_what_lies_outside_of_the_loop_says_nothing_about_its_stability(
+    den: list[float], words: dict[str, str]
+) -> None:
+    d = simple_loop([2.0], den)
+    way, drift, wind = d.add("way", Integrator()), d.add("drift", Integrator()), d.add("wind", Step(at=1.0))
+    both = d.add("both", Sum())
+    d.unwire("plant.u")
+    for sink, source in ((way.u, "plant.y"), (drift.u, wind.y), (both.u1, "gain.y"), (both.u2, drift.y)):
+        d.wire(sink, source)
+    d.wire("plant.u", both.y)
+    found = loop_map(d, "gain.y", over={"gain.k": [0.6, 1.0, 3.0]}, measurement="plant.y", frequency=2.0, **words)
+    for k, gain in enumerate(found.values[0]):
+        known = loop_report(d, "gain.y", parameters={"gain.k": float(gain)}, measurement="plant.y", **words)
+        same(found, (k,), known.margins)
+        assert found.measures["noise"][k] == pytest.approx(known.peak_noise[0], rel=1e-9)
+        assert found.measures["disturbance"][k] == pytest.approx(known.peak_disturbance[0], rel=1e-7)
+        assert found.measures["at_frequency"][k] == pytest.approx(abs(known.disturbance(2j)), rel=1e-9)
+
+
+def test_a_gain_may_be_0_where_a_state_then_has_no_part() -> None:
+    d = loop_of(PID(kp=2.0, ki=1.0, kd=0.5, Tf=0.02))
+    found = loop_map(d, "control.u", "plant.y", over={"control.ki": (0.0, 1.0), "control.kd": (0.0, 1.0)}, points=3)
+    for i, k in ((0, 0), (0, 2), (2, 0), (1, 1)):
+        given = {"control.ki": float(found.values[0][i]), "control.kd": float(found.values[1][k])}
+        same(found, (k, i), margins(d.linearizer(parameters=given).loop("control.u")))
+
+
+def test_each_point_has_its_own_operating_point_however_stiff_the_observer_is() -> None:
+    d = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=3000.0), TransferFunction(num=[2.0], den=[1.0, 1.0]))
+    bend = d.add("bend", Expression(expression="u2 - u1**3"))
+    slow = d.add("slow", Integrator())
+    d.wire(bend.u1, slow.y)
+    d.wire(bend.u2, "control.u")
+    d.wire(slow.u, bend.y)
+    d.unwire("plant.u")
+    d.wire("plant.u", slow.y)
+    over = {"slow.y_start": [0.1, 0.5, 1.0], "control.omega_o": [3000.0, 9000.0]}
+    found = loop_map(d, "control.u", "plant.y", over=over)
+    for i, k in ((0, 0), (1, 0), (2, 1)):
+        given = {"slow.y_start": float(found.values[0][i]), "control.omega_o": float(found.values[1][k])}
+        same(found, (k, i), margins(d.linearizer(parameters=given).loop("control.u")), 1e-6)
+
+
+def test_where_a_saturation_holds_the_control_there_is_no_margin() -> None:
+    d = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0, lower=-8.0, upper=8.0))
+    d.unwire("control.r")
+    d.wire("control.r", d.add("now", Constant(value=1.0)).y)  # u begins at omega_c^2/b0
+    over = {"control.omega_c": [1.0, 2.0, 5.0, 10.0], "control.b0": [1.0, 2.0, 5.0, 20.0]}
+    found = loop_map(d, "control.u", "plant.y", over=over)
+    wc, b0 = found.values[0][None, :], found.values[1][:, None]
+    assert (np.isnan(found.measures["Ms"]) | (wc**2 / b0 < 8.0)).all()
+    same(found, (1, 1), margins(d.linearizer(parameters={"control.omega_c": 2.0}).loop("control.u")))
+
+
+def test_a_map_over_the_period_of_a_sampled_loop() -> None:
+    d = loop_of(DiscreteADRC(period=0.02, b0=2.0, omega_c=4.0, omega_o=20.0))
+    found = loop_map(d, "control.u", "plant.y", over={"control.period": [0.01, 0.02, 0.05, 0.1]})
+    for k, period in enumerate(found.values[0]):
+        same(found, (k,), margins(d.linearizer(parameters={"control.period": float(period)}).loop("control.u")), 1e-6)
+
+
+def test_what_there_is_none_of_lies_within_no_limit() -> None:
+    d = simple_loop([2.0], [1.0, 1.0])  # |L| stays below 1 for k below 1/2
+    found = loop_map(d, "gain.y", "plant.y", over={"gain.k": [0.1, 0.4, 0.6, 3.0]})
+    assert found.feasible().all()
+    assert found.feasible(crossover=(0.1, 50.0)).tolist() == [False, False, True, True]
+    assert found.feasible(gain=(2.0, None)).all()
+    with pytest.raises(UsageError, match="least, most"):
+        found.feasible(Ms=(None, math.nan))
+    plane = loop_map(d, "gain.y", "plant.y", over={"gain.k": [0.1, 0.6, 3.0], "plant.num[0]": [1.0, 2.0, 4.0]})
+    drawn = plane.plot("crossover").axes[0].collections
+    assert not any("////" in (getattr(each, "hatches", None) or ()) for each in drawn)
