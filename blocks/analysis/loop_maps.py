@@ -19,11 +19,15 @@ import numpy as np
 from ..api.case import Case, PointWords, takes
 from ..api.diagram import Diagram
 from ..compile.bindings import bindings
+from ..compile.plan import Plan
+from ..engines.prepared import Prepared
 from ..frequency.many import Channel, Loops, between, grid_of, margins_of
 from ..linear.harmonic_balance import Linearizer
+from ..linear.point import Point
 from ..linear.slopes import read_at
 from ..linear.stacked import Stack, stacked
 from ..linear.transfer import Transfer
+from ..model.resolver import resolver_of
 from ..results.plots import Look
 from ..text.arrays import Array
 from ..text.atomic_write import write_atomically
@@ -261,12 +265,11 @@ def _at_once(
 ) -> Stacks:
     """The models of all points from one Plan; none where that is not what single points give."""
     linearizer = _at(diagram, case, each[0], point)
-    graph, plan, columns = linearizer.graph, linearizer.plan, []
-    for one in each:
-        at = diagram.point(case.updated(parameters={**case.parameters, **one}), at=point["at"])
+    plan, columns = linearizer.plan, []
+    for at in _points(diagram, case, each, linearizer.slopes.point, point["at"]):
         if at.plan.instances is not plan.instances or at.plan.delays != plan.delays:
             return []
-        columns.append(read_at(graph, at))
+        columns.append(read_at(linearizer.graph, at))
     stack = stacked(linearizer, np.stack(columns, axis=1), *ends, pade=pade)
     if stack is None:
         return []
@@ -274,6 +277,23 @@ def _at_once(
         if not _is_seen_in(stack, k, _at(diagram, case, each[k], point).transfer(*ends, pade=pade)):
             return []
     return [(np.arange(len(each)), stack)]
+
+
+def _points(
+    diagram: Diagram, case: Case, each: Sequence[Mapping[str, float]], first: Point, at: float | None
+) -> Iterator[Point]:
+    """Where the diagram is at each point of the map; at the start by the rows p of one Plan, where it has them."""
+    given = [{**case.parameters, **one} for one in each]
+    rows: list[tuple[float, ...] | None] = [None]
+    if at is None and not first.plan.foreign:
+        resolver = resolver_of({**diagram.types})
+        prepared = Prepared.of(case.of(diagram.value), resolver, given[0], case.settings, trust=case.trust)
+        if isinstance(prepared.plan, Plan) and (rebinding := prepared.rebinding()).is_possible:
+            rows = [rebinding.row(one, first.plan.settings.seed) for one in given]
+    if rows[0] == tuple(first.plan.parameters) and None not in rows:
+        yield from (first.at_start(row) for row in rows if row is not None)
+    else:
+        yield from (diagram.point(case.updated(parameters=one), at=at) for one in given)
 
 
 def _is_seen_in(stack: Stack, k: int, single: Transfer) -> bool:

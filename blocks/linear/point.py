@@ -44,6 +44,16 @@ class Point:
         memory = engine.instants.memory(engine.now, u)
         return cls(engine.plan, memory, _outputs(engine, memory), engine)
 
+    def at_start(self, parameters: Sequence[float]) -> Point:
+        """The point at the start of a run with another row p, where this one is at a start; there are no FMUs."""
+        from ..engines.reference.reference_engine import ReferenceEngine
+
+        given = self.engine
+        plan = replace(self.plan, parameters=tuple(parameters))
+        engine = ReferenceEngine(plan, given.inputs, compiled=given.compiled, is_silent=True)
+        engine.start()
+        return Point.of(engine)
+
     @property
     def t(self) -> float:
         """The time in s."""
