@@ -114,7 +114,8 @@ class DiscreteADRC(Ticks):
     state_space: as above.
     transfer_function: v(k) = (sum of feedback_i r_i(k) - w(k))/b0, with w from y and u by one filter with the
         numerators beta and gamma and the denominator alpha: n + 1 numbers of memory, and no matrix. Its rounding grows
-        with 1/(omega_o period)^n.
+        with 1/(omega_o period)^(n+1), and with it the error that is left at rest. Its memory depends on its gains: if
+        they are set during a run, u jumps until the filter has settled; the state_space has no such jump.
 
     |u(k) - u(k-1)| is at most rate period. While `manual` is above 0, u is u_manual within the limits, and the observer
     follows. With `bumpless`, u goes on from there, and at the start from u_start: what is missing is added to v, and
@@ -156,7 +157,7 @@ class DiscreteADRC(Ticks):
     rate = Parameter(UNLIMITED, unit=unit_u / "s", positive=True, is_limit=True, doc="fastest change of u")
     bumpless = Parameter(False, structural=True, type="bool", doc="whether u goes on from u_start and from u_manual")
     transfer = Parameter(
-        lambda feedback, order: float(np.abs(feedback[0])) ** (-1.0 / order),
+        lambda feedback, order: float(np.abs(feedback[0]) + 1e-300) ** (-1.0 / order),  # 0: it never fades
         unit="s",
         positive=True,
         doc="time constant of bumpless",

@@ -361,6 +361,36 @@ def test_a_recursion_in_numpy_gives_the_same_control() -> None:
         x, last = model @ z + push[:, 0] * u, u
 
 
+@each_order
+@pytest.mark.parametrize("period", [1e-2, 1e-3, 1e-4, 1e-5])
+def test_the_rounding_of_the_filter_at_rest_grows_as_documented(order: int, period: float) -> None:
+    made = resolved("DiscreteADRC", order=order, period=period, b0=2.0, omega_c=5.0, omega_o=20.0)
+    alpha, gamma = (np.asarray(made.values[key].value) for key in ("alpha", "gamma"))
+    # Where y rests, all of u comes back: gamma(1) = -b0 alpha(1).
+    left = gamma.sum() / (2.0 * (1.0 + alpha.sum())) + 1.0
+    assert abs(left) < 30 * np.finfo(float).eps / (20.0 * period) ** (order + 1)
+
+
+def test_gains_set_during_a_run_make_a_jump_in_the_filter_alone() -> None:
+    moves = {}
+    for form in ("state_space", "transfer_function"):
+        loop = noisy_loop(DiscreteADRC(form=form, **GIVEN), 2)
+        run = loop.start(stop=8.0, every=0.01, parameters={"noise.deviation": 0.0})
+        run.advance_to(7.0)
+        run.set("c.omega_c", 8.0)
+        run.advance_to(8.0)
+        u = run.results["c.u"]
+        moves[form] = np.abs(u[700:] - u[699]).max()
+    assert moves["state_space"] < 1e-3
+    assert moves["transfer_function"] > 1.0
+
+
+def test_a_feedback_of_the_speed_alone_needs_no_transfer() -> None:
+    given = {**GIVEN, "omega_c": None, "feedback": [0.0, 2.0]}
+    results = noisy_loop(DiscreteADRC(**given), 2).run(stop=1.0, parameters={"noise.deviation": 0.0})
+    assert np.abs(results["c.u"]).max() < 1e-9  # the wanted speed is 0
+
+
 @pytest.mark.parametrize(
     ("given", "code", "said"),
     [
