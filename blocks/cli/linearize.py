@@ -201,6 +201,8 @@ def _ranges(items: Sequence[str]) -> dict[str, list[float]]:
     ranges = {}
     for item in items:
         name, _, text = item.partition("=")
+        if name.strip() in ranges:
+            raise UsageError(Fault("E501", f"--over {item}", "gives this parameter a second time."))
         try:
             ranges[name.strip()] = [float(number) for number in text.split(",")]
         except ValueError:

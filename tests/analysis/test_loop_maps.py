@@ -256,6 +256,7 @@ def test_the_command_prints_writes_and_draws(tmp_path: Path, capsys: pytest.Capt
     for wrong, said in (
         ([*over, "--limit", "Ms=1"], "--limit Ms=1"),
         (["--over", "control.omega_c=a,b"], "NAME=LOW,HIGH"),
+        ([*over, "--over", "control.omega_c=2,3"], "a second time"),
         ([*over, "-o", "x.json"], ".csv"),
         ([*over, "--best", "Msx"], "Did you mean 'Ms'"),
     ):
