@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 from ..contract.block import Block
@@ -10,6 +12,7 @@ from ..library import LIBRARY
 from ..model.values import in_si
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
+from ..text.units import from_si, quotient
 from .diagram import Diagram, Subdiagram
 
 OBSERVERS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -48,33 +51,34 @@ def ADRC(
     by="error": the observer estimates the error r - y and its derivatives, so that none of r are needed. derivatives:
     how many of r are inputs, r2 = dr/dt, r3, ... up to order - 1, of by="output". delay: dead time of the plant, s; the
     observer gets u this much later. filter: time constant of a low-pass filter of what is measured, s. lower, upper:
-    limits of u. unit, unit_u: of y and of u.
+    limits of u. unit, unit_u: of y and of u. Plain numbers are in these units: b0 in unit/(unit_u s^order).
 
-    Bandwidths and times may be quantities ("4 rad/s", "5 ms"). All numbers stay parameters of the diagram:
-    `control.omega_c` can be swept and tuned.
+    Numbers may be quantities ("4 rad/s", "5 ms"). They stay parameters of the diagram: `control.omega_c` can be swept
+    and tuned.
 
     Raises UsageError (E501).
     """
     _check(order, observer, by, derivatives)
     d = Diagram("adrc")
-    d.parameter("b0", b0, doc=f"what u adds to the derivative of y of order {order}")
+    of_b0 = quotient(quotient(unit, f"s{order}"), unit_u) if unit and unit_u else ""
+    gain = _number(b0, of_b0, "b0", lambda number: number != 0, "other than 0")
+    d.parameter("b0", gain, unit=of_b0, doc=f"what u adds to the derivative of y of order {order}")
     speeds = {"omega_c": (omega_c, "loop"), "omega_o": ("=5*omega_c" if omega_o is None else omega_o, "observer")}
     for name, (speed, of) in speeds.items():
-        d.parameter(name, _in_si(speed, "rad/s", name), unit="rad/s", doc=f"bandwidth of the {of}")
-    d.parameter("lower", lower, doc="smallest u")
-    d.parameter("upper", upper, doc="largest u")
-    units = {
-        "unit": d.parameter("unit", unit, doc="unit of r and y, where it is known"),
-        "unit_u": d.parameter("unit_u", unit_u, doc="unit of u, where it is known"),
-    }
-    r, y = d.input("r", doc="wanted output of the plant"), d.input("y", doc="measured output of the plant")
-    common: dict[str, Any] = {"order": order, "b0": "=b0" if by == "output" else "=-b0", **units}
+        number = _number(speed, "rad/s", name, _is_above_0, "above 0")
+        d.parameter(name, number, unit="rad/s", doc=f"bandwidth of the {of}")
+    for name, end, of in (("lower", lower, "smallest"), ("upper", upper, "largest")):
+        d.parameter(name, _number(end, unit_u, name), unit=unit_u, doc=f"{of} u")
+    r, y = (
+        d.input(name, unit=unit, doc=f"{of} output of the plant") for name, of in (("r", "wanted"), ("y", "measured"))
+    )
+    common: dict[str, Any] = {"order": order, "b0": "=b0" if by == "output" else "=-b0", "unit": unit, "unit_u": unit_u}
     feedback = d.add("feedback", LIBRARY["LSEF"](bandwidth="=omega_c", **common))
-    limit = d.add("limit", LIBRARY["Saturation"](lower="=lower", upper="=upper", unit="=unit_u"))
+    limit = d.add("limit", LIBRARY["Saturation"](lower="=lower", upper="=upper", unit=unit_u))
     eso = d.add("eso", _observer(observer, {"bandwidth": "=omega_o", **common}))
     seen = y
     if by == "error":
-        error = d.add("error", LIBRARY["Sum"](signs="+-", unit="=unit"))
+        error = d.add("error", LIBRARY["Sum"](signs="+-", unit=unit))
         d.wire(error.u1, r)
         d.wire(error.u2, y)
         seen = error.y
@@ -84,15 +88,20 @@ def ADRC(
             d.wire(f"feedback.r{k}", d.input(f"r{k}", doc=f"derivative of r of order {k - 1}"))
     if filter is not None:
         time = d.parameter(
-            "T_f", _in_si(filter, "s", "filter"), unit="s", doc="time constant of the filter of what is measured"
+            "T_f",
+            _number(filter, "s", "filter", _is_above_0, "above 0"),
+            unit="s",
+            doc="time constant of the filter of what is measured",
         )
-        smooth = d.add("filter", LIBRARY["FirstOrder"](T=time, unit="=unit", unit_u="=unit"))
+        smooth = d.add("filter", LIBRARY["FirstOrder"](T=time, unit=unit, unit_u=unit))
         d.wire(smooth.u, seen)
         seen = smooth.y
     known = limit.y
     if delay is not None:
-        time = d.parameter("delay", _in_si(delay, "s", "delay"), unit="s", doc="dead time of the plant")
-        late = d.add("late", LIBRARY["TransportDelay"](delay=time, unit="=unit_u"))
+        time = d.parameter(
+            "delay", _number(delay, "s", "delay", _is_above_0, "above 0"), unit="s", doc="dead time of the plant"
+        )
+        late = d.add("late", LIBRARY["TransportDelay"](delay=time, unit=unit_u))
         d.wire(late.u, limit.y)
         known = late.y
     d.wire(limit.u, feedback.u)
@@ -126,15 +135,24 @@ def _check(order: object, observer: object, by: object, derivatives: object) -> 
         refuse("derivatives", derivatives, f"a whole number from 0 to {most}", cure)
 
 
-def _in_si(value: object, unit: str, name: str) -> object:
-    """Return the number of a quantity; an expression stays. Raises UsageError (E501)."""
+def _is_above_0(number: float) -> bool:
+    return number > 0
+
+
+def _number(
+    value: object, unit: str, name: str, fits: Callable[[float], bool] = lambda _: True, what: str = ""
+) -> object:
+    """Return a number in a unit, of a quantity too; an expression stays. Raises UsageError (E501)."""
     if isinstance(value, str) and value.startswith("="):
         return value
     try:
-        return float(in_si(value, unit, f"ADRC {name}"))
+        number = from_si(in_si(value, unit, f"ADRC {name}"), unit) if isinstance(value, str) else float(value)  # type: ignore[arg-type]
+        if not math.isnan(number) and fits(number):
+            return number
+        needed = f"must be {what}"
     except (TypeError, ValueError):
-        message = f"must be a number, or a quantity in {unit}, not {legible(repr(value)[:80])}."
-        raise UsageError(Fault("E501", f"ADRC {name}", message)) from None
+        needed = "must be a number" + (f", or a quantity in {unit}" if unit else "")
+    raise UsageError(Fault("E501", f"ADRC {name}", f"{needed}, not {legible(repr(value)[:80])}."))
 
 
 def _observer(observer: str | type[Block], given: dict[str, Any]) -> Block:

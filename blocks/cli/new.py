@@ -43,15 +43,19 @@ def add(verbs: Verbs) -> None:
     )
     new.add_argument("--order", type=int, metavar="N", help="with --adrc: order of the plant (2)")
     new.add_argument("--by", metavar="WHAT", help="with --adrc: what the observer gets, output (unless given) or error")
+    new.add_argument("--unit", metavar="UNIT", help="with --adrc: unit of r and y")
+    new.add_argument("--unit-u", metavar="UNIT", help="with --adrc: unit of u")
     new.set_defaults(verb=_new)
 
 
 def _new(options: argparse.Namespace) -> int:
     if options.adrc is not None:
         return _new_controller(options)
-    for word in ("order", "by"):
+    for word in ("order", "by", "unit", "unit_u"):
         if getattr(options, word) is not None:
-            raise UsageError(Fault("E501", f"--{word}", "has no meaning without --adrc.", "Add --adrc."))
+            raise UsageError(
+                Fault("E501", f"--{word.replace('_', '-')}", "has no meaning without --adrc.", "Add --adrc.")
+            )
     folder = Path(options.name)
     name = folder.name
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -81,7 +85,7 @@ def _new_controller(options: argparse.Namespace) -> int:
         raise UsageError(Fault("E501", legible(options.name), "is not a diagram file: its name ends with .json.", cure))
     if path.exists():
         raise UsageError(Fault("E501", legible(options.name), "exists.", "Choose another name. Nothing was written."))
-    given = {word: value for word in ("order", "by") if (value := getattr(options, word)) is not None}
+    given = {word: value for word in ("order", "by", "unit", "unit_u") if (value := getattr(options, word)) is not None}
     made = ADRC(observer=options.adrc, **given).source
     assert not isinstance(made, str)
     if not options.dry_run:

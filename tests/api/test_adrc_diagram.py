@@ -1,5 +1,6 @@
 """The controller that `ADRC` makes: against the files of diagrams/adrc, formulas and controllers built by hand."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,27 @@ def test_its_numbers_are_parameters_and_the_observer_follows_the_loop() -> None:
     assert swept.signals["plant.y"][1][-1] == changed["plant.y"][-1]
 
 
+def test_plain_numbers_are_in_the_declared_units() -> None:
+    """The same controller in rad and V, and in deg and mV: b0 in deg/s2 for 1 mV, limits in mV."""
+
+    def run(unit: str, unit_u: str, **words: Any) -> Any:
+        d = Diagram("units")
+        control = d.add("control", ADRC(2, unit=unit, unit_u=unit_u, omega_c=4.0, omega_o=20.0, **words))
+        wanted = d.add("wanted", Step(at=0.5, unit="rad"))
+        plant = d.add("plant", TransferFunction(num=[5.0], den=[1.0, 0.8, 4.0], unit="rad", unit_u="V"))
+        d.wire(control.r, wanted.y)
+        d.wire(control.y, plant.y)
+        d.wire(plant.u, control.u)
+        return d.run(stop=3.0, every=0.1)
+
+    own = run("rad", "V", b0=5.0, lower=-1.2, upper=1.2)
+    assert own["plant.y"].max() > 0.9
+    other = run("deg", "mV", b0=math.degrees(5.0) / 1000, lower=-1200.0, upper=1200.0)
+    texts = run("deg", "mV", b0="5 rad/(V.s2)", lower="-1.2 V", upper="1.2 V")
+    for found in (other, texts):
+        assert found["plant.y"] == pytest.approx(own["plant.y"], rel=1e-6, abs=1e-9)
+
+
 def test_the_observer_gets_what_the_delayed_plant_gets() -> None:
     d = loop_of(ADRC(2, **GIVEN, delay=0.1))
     results = d.run(stop=2.0, every=0.01, log=["control.late.y", "control.limit.y"])
@@ -103,6 +125,11 @@ def test_the_observer_gets_what_the_delayed_plant_gets() -> None:
         ({"omega_c": "fast"}, "ADRC omega_c"),
         ({"omega_o": "4 m"}, "quantity in rad/s"),
         ({"delay": []}, "ADRC delay"),
+        ({"b0": 0.0}, "ADRC b0: must be other than 0"),
+        ({"omega_c": 0.0}, "ADRC omega_c: must be above 0"),
+        ({"omega_o": -3.0}, "ADRC omega_o: must be above 0"),
+        ({"filter": 0.0}, "ADRC filter: must be above 0"),
+        ({"lower": "low", "unit_u": "V"}, "ADRC lower: must be a number, or a quantity in V"),
         ({"derivatives": 1, "by": "error"}, "estimates them"),
     ],
 )
@@ -115,7 +142,7 @@ def test_what_cannot_be_is_refused(words: dict[str, Any], said: str) -> None:
 
 def test_the_command_writes_it_as_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "control.json"
-    assert main(["new", str(file), "--adrc", "reduced", "--order", "1", "--by", "error"]) == 0
+    assert main(["new", str(file), "--adrc", "reduced", "--order", "1", "--by", "error", "--unit", "rad"]) == 0
     assert '{"diagram": "control.json"' in capsys.readouterr().out
     made = loop_of(subdiagram(file, **GIVEN), 1).run(stop=2.0)
     own = loop_of(ADRC(1, **GIVEN, observer="reduced", by="error"), 1).run(stop=2.0)
@@ -125,6 +152,7 @@ def test_the_command_writes_it_as_a_file(tmp_path: Path, capsys: pytest.CaptureF
         ([str(tmp_path / "control"), "--adrc"], ".json"),
         ([str(tmp_path / "other.json"), "--adrc", "fast"], "observer"),
         ([str(tmp_path / "project"), "--order", "2"], "--adrc"),
+        ([str(tmp_path / "project"), "--unit-u", "V"], "--unit-u"),
     ):
         assert main(["new", *arguments]) == 2
         assert said in capsys.readouterr().err
