@@ -35,6 +35,7 @@ from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
 from ..text.rich_output import Shown, Table
 from ..text.units import from_si
+from .model_text import check_loop
 
 if TYPE_CHECKING:
     from ..results.figure import Figure
@@ -206,6 +207,8 @@ def loop_map(
     each = [dict(zip(names, row, strict=True)) for row in _rows(values)]
     stacks = _at_once(diagram, case, each, ends, pade, point) or _one_by_one(diagram, case, each, ends, pade, point)
     found = _measures(stacks, len(each), ends, (control, output, measured, enters), frequency)
+    if not np.isfinite(found["Ms"]).any():  # it may be in no loop, or behind a law that passes nothing on
+        check_loop(_at(diagram, case, each[0], point).exact_loop([control], pade=pade), control)
     shape = tuple(len(each) for each in reversed(values))
     given, units = _present(diagram, case, names)
     return LoopMap(

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..text.errors import Fault, UsageError
+from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.quantity_text import value_in
 from .option_values import assignments, case_of, check_writable, look_of, number_of, raw_number
 from .options import Verbs, takes_json, takes_library, takes_point, takes_several, takes_size
@@ -178,7 +178,12 @@ def _map(options: argparse.Namespace) -> int:
         measurement=options.measurement, disturbance=options.disturbance, frequency=options.frequency,
         pade=options.pade, **point,
     )  # fmt: skip
-    best = found.best(options.best, **limits) if options.best else {}
+    best: dict[str, float] = {}
+    failure: AnalysisError | None = None
+    try:
+        best = found.best(options.best, **limits) if options.best else {}
+    except AnalysisError as error:  # what is known is told and written first
+        failure = error
     allowed = int(found.feasible(**limits).sum())
     if options.json:
         emit({**found.as_json(), "allowed": allowed, **({"best": best} if best else {})})
@@ -194,11 +199,15 @@ def _map(options: argparse.Namespace) -> int:
     if options.plot:
         plots.save(found.plot(limits=limits or None, **look), options.plot)
         say(f"figure in {options.plot}")
+    if failure is not None:
+        raise failure
     return 0
 
 
 def _ranges(items: Sequence[str]) -> dict[str, list[float]]:
-    ranges = {}
+    ranges: dict[str, list[float]] = {}
+    if not items:
+        raise UsageError(Fault("E501", "--over", "is missing.", "Example: --over control.omega_c=1,30."))
     for item in items:
         name, _, text = item.partition("=")
         if name.strip() in ranges:

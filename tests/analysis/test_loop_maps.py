@@ -253,7 +253,13 @@ def test_the_command_prints_writes_and_draws(tmp_path: Path, capsys: pytest.Capt
     assert "least disturbance: control.omega_c = " in out
     assert (tmp_path / "m.svg").read_text().startswith("<?xml")
     assert len((tmp_path / "m.csv").read_text().splitlines()) == 26
+    assert main([*command, *over, "--limit", "Ms<1.01", "--best", "noise", "-o", str(tmp_path / "none.csv")]) != 0
+    told = capsys.readouterr()
+    assert "within Ms<1.01: 0 points" in told.out
+    assert "E705" in told.err
+    assert len((tmp_path / "none.csv").read_text().splitlines()) == 26  # written, though no point is within the limits
     for wrong, said in (
+        ([], "--over: is missing"),
         ([*over, "--limit", "Ms=1"], "--limit Ms=1"),
         (["--over", "control.omega_c=a,b"], "NAME=LOW,HIGH"),
         ([*over, "--over", "control.omega_c=2,3"], "a second time"),
@@ -415,3 +421,13 @@ def test_what_there_is_none_of_lies_within_no_limit() -> None:
     plane = loop_map(d, "gain.y", "plant.y", over={"gain.k": [0.1, 0.6, 3.0], "plant.num[0]": [1.0, 2.0, 4.0]})
     drawn = plane.plot("crossover").axes[0].collections
     assert not any("////" in (getattr(each, "hatches", None) or ()) for each in drawn)
+
+
+@pytest.mark.parametrize(("control", "said"), [("r.y", "it is not part of a loop"), ("control.u", "passes nothing on")])
+def test_a_signal_that_does_not_come_back_at_any_point_has_no_map(control: str, said: str) -> None:
+    d = loop_of(ADRC(2, b0=5.0, omega_c=4.0, omega_o=20.0, lower=-0.1, upper=0.1))
+    d.set("r.at", 0.0)
+    with pytest.raises(AnalysisError) as refused:
+        loop_map(d, control, "plant.y", over={"control.omega_c": (5.0, 30.0)}, points=3)
+    assert refused.value.code == "E705"
+    assert said in str(refused.value)
