@@ -147,7 +147,7 @@ def _number(
         return value
     try:
         number = from_si(in_si(value, unit, f"ADRC {name}"), unit) if isinstance(value, str) else float(value)  # type: ignore[arg-type]
-        if not math.isnan(number) and fits(number):
+        if not isinstance(value, bool) and not math.isnan(number) and fits(number):
             return number
         needed = f"must be {what}"
     except (TypeError, ValueError):

@@ -24,10 +24,10 @@ __all__ = ["DiscreteADRC"]
 
 def _placed_gains(order, omega_c, period, placement):
     """Gains with all poles of the compensated plant at -omega_c, or of the sampled one at exp(-omega_c period)."""
-    if placement == "continuous":
-        return feedback_gains(order, omega_c)
     if omega_c is None:
         raise ValueError("give feedback or omega_c")
+    if placement == "continuous":
+        return feedback_gains(order, omega_c)
     # Ackermann's formula in steps of one period, in which the plant is a matrix of numbers.
     shifts = powers(np.eye(order, k=1), order)
     model = sum(shift / math.factorial(k) for k, shift in enumerate(shifts))
@@ -37,6 +37,12 @@ def _placed_gains(order, omega_c, period, placement):
     wanted = np.linalg.matrix_power(model - np.eye(order) + decay * np.eye(order), order)
     gains = np.linalg.solve(columns.T, np.eye(order)[-1]) @ wanted
     return gains / float(period) ** np.arange(order, 0, -1)
+
+
+def _observer_gains(order, omega_o, period):
+    if omega_o is None:
+        raise ValueError("give observer or omega_o")
+    return sampled_gains(order, omega_o, period, "current")
 
 
 # A polynomial in 1/z is the list of its coefficients. Products are written out: a compiled program adds in this order
@@ -147,7 +153,7 @@ class DiscreteADRC(Ticks):
         doc="gain of each error",
     )
     observer = Parameter(
-        lambda order, omega_o, period: sampled_gains(order, omega_o, period, "current"),
+        _observer_gains,
         shape=each_estimate,
         unit=lambda order: rates("1", order + 1),
         doc="gain of the error in each estimate, at each tick",

@@ -125,6 +125,7 @@ def test_the_observer_gets_what_the_delayed_plant_gets() -> None:
         ({"omega_c": "fast"}, "ADRC omega_c"),
         ({"omega_o": "4 m"}, "quantity in rad/s"),
         ({"delay": []}, "ADRC delay"),
+        ({"delay": True}, "ADRC delay"),
         ({"b0": 0.0}, "ADRC b0: must be other than 0"),
         ({"omega_c": 0.0}, "ADRC omega_c: must be above 0"),
         ({"omega_o": -3.0}, "ADRC omega_o: must be above 0"),

@@ -396,7 +396,8 @@ def test_a_feedback_of_the_speed_alone_needs_no_transfer() -> None:
     [
         ({"b0": 0.0}, "E107", "b0 must not be 0"),
         ({"lower": 1.0, "upper": 1.0}, "E107", "lower must be below upper"),
-        ({"omega_o": None}, "E107", "give"),
+        ({"omega_o": None}, "E107", "give observer or omega_o"),
+        ({"omega_c": None}, "E107", "give feedback or omega_c"),
         ({"feedback": [1.0, 2.0]}, "E107", "feedback"),
     ],
 )
