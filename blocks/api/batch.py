@@ -289,6 +289,7 @@ class Batch(Shown):
     def _at_once(self, key: str, given: _Given, places: Array, work: _Work, threads: int | None) -> None:
         """Run the rows of one form of the model by threads."""
         made = work.made
+        key += "" if made.seeds is None else " by seeds"  # their base has the seed of a row, not that of the diagram
         form = self._forms.pop(key, None)
         while len(places) and not made.interrupted:
             form = self._piece(form, given, places[: self._most], work, threads)

@@ -19,7 +19,7 @@ def rows_of(columns: Sequence[str], table: Any) -> tuple[Any, Array | None]:
 
     Raises UsageError (E501).
     """
-    if isinstance(table, np.ndarray) and table.dtype == float and table.shape[1:] == (len(columns),):
+    if type(table) is np.ndarray and table.dtype == float and table.shape[1:] == (len(columns),):
         return table, table
     rows = _rows(columns, table)
     values = [*chain.from_iterable(rows)]

@@ -19,6 +19,7 @@ from blocks import (
     Sine,
     Sum,
     TransportDelay,
+    UsageError,
 )
 from blocks.api.batch import Batch
 from blocks.compile.rebinding import Rebinding
@@ -100,6 +101,26 @@ def test_however_a_table_is_written_its_rows_are_the_same() -> None:
         assert other.messages == rows.messages
         for name, column in rows.measures.items():
             assert other.measures[name].tobytes() == column.tobytes()
+
+
+def test_rows_without_seeds_have_the_seed_of_the_diagram_also_after_others() -> None:
+    d, table = whole(), [[0.2], [0.3]]
+    batch = d.batch(["tau"])
+    for seeds in ([7, 8], None, [8, 7]):
+        rows = batch(table, seeds=seeds)
+        for i, (tau,) in enumerate(table):
+            seed = None if seeds is None else seeds[i]
+            assert rows.measures["ISE"][i] == d.run(parameters={"tau": tau}, seed=seed).measures["ISE"]
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_a_matrix_of_numpy_whose_rows_are_matrices_is_refused() -> None:
+    """A masked array has rows like any other."""
+    table, batch = [[0.2, 20.0], [np.nan, 30.0]], whole().batch(["tau", "w"])
+    with pytest.raises(UsageError, match="row 0 has 1 values"):
+        batch(np.matrix(table))
+    masked = batch(np.ma.array(table, mask=[[False, False], [True, False]]))
+    assert masked.status.tolist() == ["ok", "refused"]
 
 
 @pytest.mark.parametrize("lanes", ["exact", "fast"])
