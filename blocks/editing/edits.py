@@ -174,7 +174,8 @@ class Workspace:
         texts = self.were if before else {file: self.document(file).text for file in self.were}
         text = texts.get(real) or self.document(real).text
         try:
-            value = diagrams.loads(text, file=self.name(real), folder=os.path.dirname(real), texts=texts)
+            folder = os.path.dirname(real)
+            value = diagrams.loads(text, file=self.name(real), folder=folder, texts=texts, times=IN_FILES)
             return flatten(value, resolver_of(library_types(self.library)))
         except BlocksError as error:
             return error.faults

@@ -28,7 +28,7 @@ from ..model.values import is_expression
 from ..text import grammar, json_text, units
 from ..text.errors import BlocksError, Fault, ModelError, UsageError
 from ..text.grammar import ANY, AnyOf, Field, ListOf, Object, Scalar, Steps, Table, Text, in_words
-from ..text.json_document import place_of
+from ..text.json_document import IN_FILES, place_of
 from ..text.json_edits import same
 from ..text.json_number import Number, is_number
 from ..text.printable import quoted
@@ -287,7 +287,7 @@ def _wire(spot: Spot, entry: Mapping[str, Any]) -> None:
 def _diagram_of(spot: Spot) -> DiagramValue:
     """Return the diagram that the operation is about. Raises ModelError with the faults of the file."""
     folder = os.path.dirname(os.path.abspath(spot.file))
-    value = loads(spot.workspace.document(spot.file).text, file=spot.name, folder=folder)
+    value = loads(spot.workspace.document(spot.file).text, file=spot.name, folder=folder, times=IN_FILES)
     for block in blocks_of(spot.scope):
         inner = value.blocks[block].inner
         assert inner is not None

@@ -30,7 +30,7 @@ from ..model.resolver import resolver_of
 from ..model.wires import BlockSource
 from ..text.element_names import whole_of
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
-from ..text.json_document import Document
+from ..text.json_document import IN_FILES, Document
 from ..text.printable import legible, quoted
 from . import tree
 from .edits import Change, Edit, Workspace, files_with, rewritten
@@ -496,7 +496,7 @@ def flat_of(text: str | bytes, file: str, library: Library) -> Flat | list[tuple
     """The flat diagram, or the codes of its faults with their lines."""
     folder = os.path.dirname(os.path.abspath(file))
     try:
-        value = loads(text, file=file, folder=folder)
+        value = loads(text, file=file, folder=folder, times=IN_FILES)
         return flatten(value, resolver_of(library_types(library)))
     except BlocksError as error:
         return [(fault.code, fault.file, fault.line) for fault in error.faults]

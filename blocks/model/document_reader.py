@@ -308,11 +308,10 @@ class DocumentReader:
             try:
                 known = loading.texts.get(str(resolved))
                 if known is None:
-                    document = json_text.read(
-                        read_inside(target, loading.project, place, shown, IN_FILES), file=shown, times=IN_FILES
-                    )
+                    data = read_inside(target, loading.project, place, shown, IN_FILES)
                 else:
-                    document = json_text.read(known.encode(), file=shown)
+                    data = known.encode()
+                document = json_text.read(data, file=shown, times=IN_FILES)
             except ModelError as error:
                 loading.faults.update(error.faults)
             else:

@@ -25,6 +25,7 @@ from ..model.project import project_of
 from ..text import json_text
 from ..text.atomic_write import real, write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
+from ..text.json_document import IN_FILES
 from ..text.printable import legible
 from .edit_history import History, Step
 from .open_document import Document
@@ -291,7 +292,7 @@ class Editor(Document):
         """The operation that takes a name in place of the one that a fault is about."""
         path = list(fault.path)
         try:
-            around = entry_at(json_text.read(self.text).value, fault.path[:-1], "")
+            around = entry_at(json_text.read(self.text, times=IN_FILES).value, fault.path[:-1], "")
         except BlocksError:
             return
         if path[-1:] == ["type"]:
@@ -342,7 +343,7 @@ def _text_of(path: Path) -> str | None:
 
 def _is_json(text: str) -> bool:
     try:
-        json_text.read(text)
+        json_text.read(text, times=IN_FILES)
     except BlocksError:
         return False
     return True

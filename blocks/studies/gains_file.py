@@ -21,6 +21,7 @@ from ..model.resolver import resolver_of
 from ..model.variants import taken
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.grammar import Steps
+from ..text.json_document import IN_FILES
 from ..text.printable import legible
 from ..text.units import converted
 
@@ -209,7 +210,7 @@ def _check(
 
     def read(texts: Mapping[str, str]) -> Flat:
         source = texts.get(real) or old
-        value = loads(source, file=str(path), folder=os.path.dirname(real), texts=texts)
+        value = loads(source, file=str(path), folder=os.path.dirname(real), texts=texts, times=IN_FILES)
         return flatten(taken(value, chosen), resolver)
 
     try:

@@ -26,7 +26,7 @@ from ..model.study_grammar import STUDY
 from ..results.results import Results
 from ..text import json_text, json_writer
 from ..text.errors import Fault, ModelError
-from ..text.json_document import Document
+from ..text.json_document import IN_FILES, Document
 from .study_checks import StudyChecks
 from .study_reader import Claim, Study, StudyReader
 from .study_sweeps import statistic_of
@@ -80,8 +80,8 @@ class StudyResults:
 def load(path: str | Path) -> Study:
     """The study of a file. Raises ModelError with all faults of its structure."""
     path = Path(path)
-    data = read_inside(path, Project(path.resolve().parent), Fault("E007", "", ""))
-    document, first = json_text.meant(data, file=str(path))
+    data = read_inside(path, Project(path.resolve().parent), Fault("E007", "", ""), times=IN_FILES)
+    document, first = json_text.meant(data, file=str(path), times=IN_FILES)
     study = StudyReader(document, path, list(first)).study()
     if first:
         raise ModelError(*first, readable=study)

@@ -20,7 +20,10 @@ from blocks import BlocksError, Diagram, edit_file
 from blocks.cli import main
 from blocks.editing import edits
 from blocks.editing.operations import OPERATIONS
+from blocks.editing.renaming import flat_of
 from blocks.model import document as documents
+from blocks.studies.study import load
+from blocks.text import json_document
 from blocks.text.errors import Fault, UsageError
 from blocks.text.json_text import read
 from tests.support.marks import long_but
@@ -794,3 +797,36 @@ def test_every_operation_has_a_text_in_the_docs() -> None:
         assert operation.kind.doc in row
         for field in (field for field in operation.kind.fields if field.required):
             assert f'"{field.key}":' in row
+
+
+def test_a_file_beyond_the_limit_of_texts_is_edited_like_a_small_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A vector gives copies to what it reaches, a fault is told as it is, a block gets a variant, a name changes."""
+    path, study = tmp_path / "d.json", tmp_path / "s.json"
+    blocks = {
+        "pair": {"type": "Constant", "copies": 2, "parameters": {"value": 1}}, "gain": {"type": "Gain"},
+        "part": {"diagram": "part.json"},
+    }  # fmt: skip
+    document = {"format": "blocks-diagram", "version": 3, "name": "d", "parameters": {"K": 2}, "blocks": blocks}
+    path.write_text(json.dumps({**document, "doc": "x" * 400}))
+    (tmp_path / "part.json").write_text(json.dumps({**document, "name": "part", "blocks": {}, "doc": "y" * 400}))
+    asked = {"format": "blocks-study", "version": 1, "name": "s", "runs": {"d": {"diagram": "d.json"}}}
+    study.write_text(json.dumps({**asked, "doc": "z" * 600}))
+    every: list[list[dict[str, Any]]] = [
+        [{"wire": "pair.y", "to": "gain.u"}],
+        [{"set": "blocks.gain.parameters.k", "to": "=nope"}, {"set": "parameters.K", "in": "part", "to": 3}],
+        [{"swap": "gain", "for": {"type": "Saturation"}}],
+        [{"rename": "parameters.K", "to": "K2"}],
+    ]
+
+    def told() -> list[Any]:
+        made = [edit_file(path, operations) for operations in every]
+        faults = flat_of(path.read_text(), str(path), ())
+        return [[(edit.texts, edit.faults) for edit in made], faults, load(study).runs]
+
+    wanted = told()
+    assert '"copies": 2' in str(wanted[0][0][0]).partition('"gain"')[2]
+    assert [fault.code for fault in wanted[0][1][1]] == ["E108"]
+    monkeypatch.setattr(json_document, "LARGEST_TEXT", 300)
+    assert told() == wanted
