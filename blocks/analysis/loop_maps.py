@@ -1,8 +1,8 @@
 """Maps of a loop: its margins, disturbance rejection and noise over two parameters, from matrices alone.
 
-found = loop_map(loop, "control.u", "plant.y", over={"control.omega_c": (1, 30), "control.omega_o": (5, 300)})
-found.best("disturbance", Ms=(None, 1.6), noise=(None, 200))
-found.plot("Ms", "disturbance", "noise", limits={"Ms": (None, 1.6)})
+    found = loop_map(loop, "control.u", "plant.y", over={"control.omega_c": (1, 30), "control.omega_o": (5, 300)})
+    found.best("disturbance", Ms=(None, 1.6), noise=(None, 200))
+    found.plot("Ms", "disturbance", "noise", limits={"Ms": (None, 1.6)})
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MEASURES = {
     "disk": "disk margin", "disturbance": "largest |disturbance → output|",
     "noise": "largest |noise → control|", "at_frequency": "|disturbance → output| at the frequency",
 }  # fmt: skip
-"""What a map has, and how a figure calls it."""
+"""The measures of a map by name, with their titles in figures."""
 _MOST = 250_000
 _CHECKED = 1e-8
 _SHOWN = ("Ms", "phase_deg", "disturbance", "noise")
@@ -397,7 +397,7 @@ def _closed(A: Array, dt: float) -> tuple[Loops, Array, Array]:
 
 
 def _present(diagram: Diagram, case: Case, names: tuple[str, ...]) -> tuple[tuple[float, ...], tuple[str, ...]]:
-    """What the diagram has for the parameters, in their declared units, and these; nan for what is no one number."""
+    """Return the present values of the parameters in their declared units, nan for no single number, and the units."""
     now = case.only("parameters", "variants", "trust")
     settings = {setting.path: setting for setting in bindings(diagram.flatten(now), None)}
     found: list[float] = []

@@ -23,7 +23,7 @@ _LARGE = 20.0
 
 
 class Mapped(Protocol):
-    """What is drawn: a `LoopMap`."""
+    """The parts of a `LoopMap` that its figure shows."""
 
     @property
     def parameters(self) -> tuple[str, ...]: ...

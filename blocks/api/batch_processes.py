@@ -29,7 +29,7 @@ BEGIN = f"import sys; sys.path[:] = {{}}; from {__name__} import _serve; _serve(
 
 
 _BROKEN = (EOFError, OSError, ValueError, pickle.UnpicklingError)
-"""What a pipe raises whose other end is gone, or that Ctrl-C has closed meanwhile (ValueError)."""
+"""Errors of a pipe whose other end is gone, or that Ctrl-C has closed meanwhile (ValueError)."""
 
 
 class Rows(Protocol):

@@ -182,7 +182,7 @@ def _map(options: argparse.Namespace) -> int:
     failure: AnalysisError | None = None
     try:
         best = found.best(options.best, **limits) if options.best else {}
-    except AnalysisError as error:  # what is known is told and written first
+    except AnalysisError as error:  # print and write the map first
         failure = error
     allowed = int(found.feasible(**limits).sum())
     if options.json:

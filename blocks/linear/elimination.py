@@ -48,13 +48,18 @@ class Entries:
             masks.append(seen)
         return masks[0], masks[1]
 
-    def block(self, rows: Sequence[int], columns: Sequence[int]) -> Any:
-        """Some rows and columns in an order: an array, or a sparse matrix where they are many."""
+    def within(self, rows: Sequence[int], columns: Sequence[int]) -> tuple[Array, Array, Array]:
+        """Return the numbers of the entries in some rows and columns, and where these have them."""
         row_at, column_at = np.full(self.size, -1, dtype=np.intp), np.full(self.size, -1, dtype=np.intp)
         row_at[rows], column_at[columns] = np.arange(len(rows)), np.arange(len(columns))
         r, c = row_at[self.rows], column_at[self.columns]
-        keep = (r >= 0) & (c >= 0)
-        entries = Entries(r[keep], c[keep], self.values[keep], self.size)
+        keep = np.flatnonzero((r >= 0) & (c >= 0))
+        return keep, r[keep], c[keep]
+
+    def block(self, rows: Sequence[int], columns: Sequence[int]) -> Any:
+        """Some rows and columns in an order: an array, or a sparse matrix where they are many."""
+        keep, r, c = self.within(rows, columns)
+        entries = Entries(r, c, self.values[keep], self.size)
         return entries.matrix((len(rows), len(columns)), is_sparse=len(rows) * len(columns) > MOST_DENSE)
 
     def matrix(self, shape: tuple[int, int], *, is_sparse: bool) -> Any:

@@ -80,7 +80,7 @@ def contributing(replaced: ReplacedSlopes, wiring: Wiring) -> Array:
 
 
 def variables(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> tuple[list[int], ...]:
-    """What contributes: states, places in d, histories, what lies between, and the perturbations."""
+    """Return the variables that contribute: states, places in d, histories, those between, and perturbations."""
     first, sizes = replaced.graph.first, replaced.graph.sizes
     x = [*range(first["x"], first["x"] + sizes["x"]), *range(wiring.states, wiring.size)]
     given = {column for columns in replaced.given.values() for column in columns}

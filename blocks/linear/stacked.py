@@ -1,8 +1,8 @@
 """Linear models of one diagram at many points at once, each with its own parameters: stacks of matrices.
 
-points = np.stack([read_at(linearizer.graph, point) for point in ...], axis=1)
-stack = stacked(linearizer, points, ["control.u"], ["control.u", "plant.y"])
-stack.A[k]                                              # at the k-th point
+    points = np.stack([read_at(linearizer.graph, point) for point in ...], axis=1)
+    stack = stacked(linearizer, points, ["control.u"], ["control.u", "plant.y"])
+    stack.A[k]                                              # at the k-th point
 """
 
 from __future__ import annotations
@@ -123,10 +123,7 @@ def _selection(entries: Entries, rows: list[int], columns: list[int]) -> Any:
     """The matrix from the values of entries to those of the cells of some rows and columns."""
     from scipy import sparse
 
-    row_at, column_at = np.full(entries.size, -1, dtype=np.intp), np.full(entries.size, -1, dtype=np.intp)
-    row_at[rows], column_at[columns] = np.arange(len(rows)), np.arange(len(columns))
-    r, c = row_at[entries.rows], column_at[entries.columns]
-    keep = np.flatnonzero((r >= 0) & (c >= 0))
-    cells = r[keep] * len(columns) + c[keep]
+    keep, r, c = entries.within(rows, columns)
+    cells = r * len(columns) + c
     shape = len(rows) * len(columns), len(entries.rows)
     return sparse.csr_array((np.ones(len(keep)), (cells, keep)), shape=shape)

@@ -158,7 +158,7 @@ def _watched(
 def _outcome(
     plan: Plan, measures: Measures, kept: dict[str, Array], paths: dict[int, dict[int, Array]], budget: int | None
 ) -> Outcome:
-    """What became of the rows. Python looks only at each row of which there is something to say."""
+    """Return the outcomes of all rows. Python looks only at rows that have something to report."""
     status, ended = kept["status"], kept["ended"]
     values, is_known = measures.results_each(kept["measured"], ended)
     is_plain = is_known & (status == _DONE)

@@ -49,7 +49,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of n runs at once.
+    """The outcomes of n runs.
 
     is_plain: (n,) of runs that came to their end and have all measures. measures, steps: (n,), those of plain runs.
     signals: (n, rows, elements), as far as each came. others: of runs that are not plain, by number; none of a run that
