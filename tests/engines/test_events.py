@@ -13,6 +13,7 @@ from blocks import (
     Block,
     BouncingBall,
     Constant,
+    DeadZone,
     Diagram,
     Discrete,
     Gain,
@@ -175,6 +176,22 @@ def test_chattering_is_refused_and_names_its_block() -> None:
         with pytest.raises(SimulationError, match=r"E304 b\.above: .*chattering") as caught:
             alone(Sign(), stop=2.0, **settings)
         assert caught.value.results.t[-1] == pytest.approx(0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("settings", [*METHODS, {"engine": "reference"}], ids=str)
+@pytest.mark.parametrize("limit", [2.0, 2.3, 0.7 + 1e-16])
+def test_corners_that_touch_a_limit_are_no_chattering(settings: dict[str, Any], limit: float) -> None:
+    """A corner exactly at the limit passes it and comes back within an ulp, at each of its times."""
+    diagram = Diagram("touches")
+    zone = diagram.add("zone", DeadZone(lower=0.0, upper=limit))
+    diagram.wire(zone.u, diagram.input("x"))
+    t = np.array([0.0, 0.31, 0.62, 0.7, 0.95, 1.0])
+    u = np.array([0.3, limit, 0.1, limit, 0.2, limit + 1.0])
+    results = diagram.run(stop=1.0, inputs={"x": (t, u)}, interpolation="linear", **settings)
+    expected = np.maximum(0.0, np.interp(results.t, t, u) - limit)
+    assert np.max(np.abs(results["zone.y"] - expected)) < 1e-12
+    assert results.events[-1].t == pytest.approx(0.95 + 0.05 * (limit - 0.2) / (limit + 0.8), abs=1e-9)
+    assert {round(event.t, 9) for event in results.events[:-1]} <= {0.31, 0.7}
 
 
 # --- where crossings are ---------------------------------------------------------------------------------------

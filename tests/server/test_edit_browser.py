@@ -18,6 +18,7 @@ import pytest
 from benchmarks.drawing import placed
 from blocks import Constant, Diagram, Gain, MatrixGain
 from blocks.model.document import dumps
+from blocks.server import session
 from blocks.server.editor import Editor
 from tests.support.hands import Hands, edited_page
 from tests.support.places import ROOT
@@ -223,6 +224,7 @@ def test_a_command_that_is_killed_in_the_middle_of_gestures_leaves_a_whole_file(
     killed = """
 import sys
 from blocks.server import gestures
+from blocks.server import session
 from blocks.server.editor import Editor
 editor = Editor(sys.argv[1])
 print("begun", flush=True)
@@ -450,6 +452,36 @@ def test_a_name_that_is_refused_can_be_mended_and_a_slider_leaves_no_value_over_
         hands.button("Undo")
         page.until("document.querySelector('#panel input[aria-label=kp]').value.startsWith('20 ')")
         assert (path.read_bytes(), hands.server._open.values) == (MOTOR.read_bytes(), {})
+        page.assert_clean()
+
+
+def test_undo_right_after_a_new_name_takes_that_name_back(
+    chromium: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = session.answer
+
+    def late(*given: Any) -> Any:
+        """Answer long after the page has been shown what changed."""
+        told = answer(*given)
+        time.sleep(0.5)
+        return told
+
+    path = tmp_path / "motor.json"
+    path.write_bytes(MOTOR.read_bytes())
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        page.click_at(*hands.box("load"))
+        page.press("F2")
+        page.until("document.querySelector('.typed')")
+        monkeypatch.setattr(session, "answer", late)
+        page.press("Control+a")
+        page.type("brake")
+        page.press("Enter")
+        hands.seen("[data-path=brake]")
+        page.press("Control+z")
+        hands.seen("[data-path=load]")
+        hands.rest()
+        assert path.read_bytes() == MOTOR.read_bytes()
         page.assert_clean()
 
 

@@ -174,7 +174,7 @@ def inputs_beside_copies(document: Mapping[str, Any]) -> dict[str, tuple[Array, 
         kind = re.match("[a-z]+", name)
         assert kind is not None
         forms = {"positive": abs(plain), "small": plain / 3, "large": plain + 2.5}
-        u = forms.get(kind[0], plain + 0.107 * (number % 7))  # so that no peak is at a limit (E304)
+        u = forms.get(kind[0], plain + 0.1 * (number % 7))
         columns = np.column_stack([u + 0.2 * k for k in range(entry.get("size", 1))])
         made[name] = t, columns if "size" in entry else u, "linear"
         if entry["type"] == "bool":

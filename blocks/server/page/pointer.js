@@ -46,13 +46,14 @@ export function typedOver(app, name, take) {
   const done = async (value, isLeft = false) => {
     if (isAsking) return;
     isAsking = true;
+    field.hidden = true; // until the answer, keys such as Ctrl+Z are the drawing's
+    if (!isLeft || document.activeElement === document.body) app.drawing.view.focus();
     const isTaken = !value || value === name || (await take(value));
     isAsking = false;
-    field.ariaInvalid = isTaken ? null : "true";
-    if (!isTaken && !isLeft) return;
-    field.onblur = null;
-    field.remove();
-    if (!isLeft || document.activeElement === document.body) app.drawing.view.focus();
+    if (isTaken || isLeft) return field.remove();
+    field.ariaInvalid = "true";
+    field.hidden = false;
+    if (document.activeElement === app.drawing.view) field.focus();
   };
   field.onblur = () => done(field.value.trim(), true);
   field.onkeydown = (event) => {
