@@ -19,6 +19,7 @@ from ..results.provenance import Origin
 from ..text.version import __version__
 
 MOST_NUMBERS = 50
+_PYTHON = platform.python_version()
 
 
 class _Computed(Protocol):
@@ -46,16 +47,18 @@ def origin_of(
     equations: gives what it computes, and is called when that is read from the origin. sha256: the diagram's
     fingerprint, where it is known.
     """
-    versions = {"blocks": __version__, "python": platform.python_version(), "numpy": np.__version__}
+    versions = {"blocks": __version__, "python": _PYTHON, "numpy": np.__version__}
     described = {key: _described(item) for key, item in (parameters or {}).items()}
-    run_settings = _settings(settings)
-    if interpolation != "linear":
-        run_settings["interpolation"] = interpolation
+
+    def described_settings() -> dict[str, object]:
+        of_interpolation = {} if interpolation == "linear" else {"interpolation": interpolation}
+        return _settings(settings) | of_interpolation
+
     def told(name: str) -> Callable[[], str]:
         return lambda: getattr(equations(), name, "") if equations is not None else ""
 
     known = [told("sha256"), told("values_sha256")]
-    return Origin(sha256 or fingerprint(value), versions, run_settings, described, _inputs(inputs), *known)
+    return Origin(sha256 or fingerprint(value), versions, described_settings, described, _inputs(inputs), *known)
 
 
 def _settings(settings: RunSettings) -> dict[str, object]:

@@ -98,7 +98,7 @@ class PreparedModel:
         words = dict(case.words)
         if any(map(is_element, case.parameters)):
             words["parameters"] = given_values(self._value, self._resolver, case.parameters, self._base.parameters)
-        case = self._base.on_top(words)
+        case = self._base.on_top(words) if words else self._base
         known = self._kept()
         run = started(self._value, self._resolver, case, options, likes=known)
         is_new = not any(form.alike is run.prepared.alike for form in known)
@@ -119,6 +119,8 @@ class PreparedModel:
 
     def _keep(self, used: Prepared) -> None:
         with self._lock:
+            if self._forms and self._forms[-1].alike is used.alike:
+                return
             form = next((form for form in self._forms if form.alike is used.alike), used)
             kept = [*(known for known in self._forms if known is not form), form][-MOST_KEPT:]
             while len(kept) > 1 and sum(len(known.flat.blocks) for known in kept) > MOST_BLOCKS:

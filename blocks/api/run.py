@@ -272,18 +272,13 @@ class Run:
         """The changes since the state was saved from which the run continues (W303). The results list them too."""
         return self._warnings
 
-    def _in_memory(self) -> Results:
+    def _in_memory(self, between: BetweenRows | None = None) -> Results:
         """Return the recorded results, without the rows that are already in a file."""
-        return self._named(self._simulation.results())
+        return self._simulation.results(origin=self._origin, before=self._warnings, between=between)
 
-    def _named(self, results: Results) -> Results:
-        """Results with their origin and the warnings of this run."""
-        return replace(results, origin=self._origin, warnings=(*self._warnings, *results.warnings))
-
-    def _told(self, results: Results) -> Results:
+    def _joined(self, results: Results) -> Results:
         """Return the results with the rows that are already in a file."""
-        named = self._named(results)
-        return named if self._streaming is None else self._streaming.joined(named)
+        return results if self._streaming is None else self._streaming.joined(results)
 
     def keep(self, results: Results) -> None:
         """Write results of this run to the file that it was given (`out`). Raises UsageError (E501)."""
@@ -449,7 +444,10 @@ class Run:
     @_by_one_thread
     def advance_to(self, stop: object) -> None:
         """Go on to a time in s. Ctrl-C ends it with KeyboardInterrupt; the run stands, and can go on from there."""
-        end = time_of("advance_to", stop)
+        self._advance_to(time_of("advance_to", stop))
+
+    def _advance_to(self, end: Fraction) -> None:
+        """Go on to a time in s. Raises UsageError (E501) if that has passed."""
         if end < self._exact:
             raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
         self._advance(end)
@@ -493,7 +491,8 @@ class Run:
                 is_enough = self._simulation.advance_to(piece, until)
             except (SimulationError, FMUError) as error:
                 if error.results is not None:
-                    error.results = self._told(error.results)
+                    own = (*self._warnings, *error.results.warnings)
+                    error.results = self._joined(error.results.changed(origin=self._origin, warnings=own))
                 raise
             if self._simulation.interrupted:
                 self._exact = Fraction(self.t)
@@ -510,10 +509,11 @@ class Run:
 
         Raises UsageError (E501) where there is no stop time.
         """
-        if self.settings.stop is None:
+        end = self.settings.stop
+        if end is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
             raise UsageError(Fault("E501", self._prepared.plan.name, "the run has no stop time.", cure))
-        start, stop = self.t, float(self.settings.stop)
+        start, stop = self.t, float(end)
         self._simulation.notice = self._options.notice or _warned
         try:
             with live_line(
@@ -521,10 +521,10 @@ class Run:
             ) as progress:
                 self._simulation.progress = _towards(progress, self.settings)
                 if self.ended is None:
-                    self.advance_to(self.settings.stop)
+                    self._advance_to(end)
         except KeyboardInterrupt:
             return self.results.changed(interrupted=True)
-        return self.results.changed(between=self._between_rows())
+        return self._joined(self._in_memory(self._between_rows()))
 
     def _between_rows(self) -> BetweenRows:
         """Return how its signals go between the rows."""
@@ -576,7 +576,7 @@ class Run:
     @_by_one_thread
     def results(self) -> Results:
         """What was recorded up to now."""
-        return self._told(self._simulation.results())
+        return self._joined(self._in_memory())
 
 
 def _warned(fault: Fault) -> None:

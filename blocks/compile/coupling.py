@@ -26,7 +26,7 @@ from ..model.settings import MeasureSpec, RunSettings
 from ..model.wires import BlockSource, FlatInput, InputSource, Source, ValueSource
 from ..text.errors import Fault, ModelError
 from ..text.rich_output import Part, Shown
-from .plan import Plan, PlanInput, PlanSignal, Reference
+from .plan import Plan, PlanInput, PlanSignal, Reference, recorded_in
 from .plan_builder import plan
 from .scheduler import components
 from .upstream import Upstream, at_once
@@ -246,6 +246,11 @@ class Coupling(Shown):
         """How often each sampled block and signal is computed, by its name: "0.1 s"."""
         plans = (unit.plan for unit in self.units if unit.plan is not None)
         return {name: label for island_plan in plans for name, label in island_plan.rate_labels.items()}
+
+    @cached_property
+    def recorded(self) -> Mapping[str, tuple[int, tuple[int, ...], str]]:
+        """As of a Plan."""
+        return recorded_in(self)
 
     @cached_property
     def columns(self) -> tuple[Link, ...]:

@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ..contract.tape import Tape
 from ..model.settings import MeasureSpec, RunSettings
@@ -306,6 +306,10 @@ NOTHING = Program((), {}, {}, ())
 """The program that computes nothing."""
 
 
+_OF_VALUES = frozenset({"time_scale", "delays"})
+"""What is derived from the parameters and settings of a Plan."""
+
+
 @dataclass(frozen=True, repr=False)
 class Plan(Shown):
     """A diagram ready to run. Frozen: everything that changes during a run is in a Snapshot."""
@@ -362,6 +366,13 @@ class Plan(Shown):
     outline: Callable[[Any], Iterator[Part]] | None = field(default=None, compare=False, repr=False)
     """Gives the summary for a reader, if the plan was made for one; `compile.plan_summary` makes it."""
 
+    def with_values(self, parameters: tuple[float, ...], settings: RunSettings) -> Plan:
+        """Return this plan with other values of p, and other times and tolerances; what was derived stays derived."""
+        plan = object.__new__(Plan)
+        derived = {name: value for name, value in vars(self).items() if name not in _OF_VALUES}
+        vars(plan).update(derived, parameters=parameters, settings=settings)
+        return plan
+
     def tick_time(self, count: int) -> float:
         """The time of a base step, correctly rounded: Python divides integers exactly."""
         return (count * self.base.numerator) / self.base.denominator
@@ -380,6 +391,16 @@ class Plan(Shown):
             return float(p[reference.index] if reference.row == "p" else reference.index)
 
         return tuple(Delay(number(one.delay), number(one.before), one.echoes) for one in self.histories)
+
+    @cached_property
+    def columns(self) -> tuple[Reference, ...]:
+        """What is recorded, element by element."""
+        return tuple(reference for name in self.log for reference in self.signal(name).references)
+
+    @cached_property
+    def recorded(self) -> Mapping[str, tuple[int, tuple[int, ...], str]]:
+        """Where each recorded signal is among the columns: the first of them, its shape and its unit."""
+        return recorded_in(self)
 
     @cached_property
     def unknowns_at(self) -> Mapping[Reference, int]:
@@ -456,3 +477,22 @@ class Plan(Shown):
             tick = Reference("tick", self.rate_of[node])
             references = [tick if reference is TICK else reference for reference in references]
         return references
+
+
+class _Recording(Protocol):
+    """A Plan or a Coupling, as far as it tells what is recorded."""
+
+    @property
+    def log(self) -> tuple[str, ...]: ...
+
+    def signal(self, name: str) -> PlanSignal: ...
+
+
+def recorded_in(what: _Recording) -> dict[str, tuple[int, tuple[int, ...], str]]:
+    """Return what `Plan.recorded` says of a Plan or of a Coupling."""
+    columns, first = {}, 0
+    for name in what.log:
+        signal = what.signal(name)
+        columns[name] = (first, signal.shape, signal.unit)
+        first += len(signal.references)
+    return columns

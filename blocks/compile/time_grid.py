@@ -27,8 +27,9 @@ class Grid:
 
     @classmethod
     def of(cls, start: Fraction, step: Fraction) -> Grid:
-        unit = math.lcm(start.denominator, step.denominator)
-        return cls(int(start * unit), int(step * unit), unit)
+        (begin, of_begin), (length, of_length) = start.as_integer_ratio(), step.as_integer_ratio()
+        unit = math.lcm(of_begin, of_length)
+        return cls(begin * (unit // of_begin), length * (unit // of_length), unit)
 
     def after(self, t: float) -> int:
         """The number of the first time after t."""

@@ -20,7 +20,8 @@ from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..fmi.exits import Ended
 from ..host.available_memory import Watch
-from ..results.results import Event, Events, Results
+from ..results.provenance import Origin
+from ..results.results import Between, Event, Events, Results
 from ..text.arrays import Array
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError
 from .run.engine import Engine
@@ -144,18 +145,15 @@ class Simulation:
         with self._guarded(is_reading=True):
             return self.engine.snapshot(overrides)
 
-    def results(self) -> Results:
-        """What was recorded up to now."""
+    def results(
+        self, *, origin: Origin | None = None, before: tuple[Fault, ...] = (), between: Between | None = None
+    ) -> Results:
+        """What was recorded up to now. before: warnings that come before those of the run."""
         plan, recorded, over = self.engine.plan, self.engine.recorded(), self.over
-        columns, first = {}, 0
-        for name in plan.log:
-            signal = plan.signal(name)
-            columns[name] = (first, signal.shape, signal.unit)
-            first += len(signal.references)
         return Results(
-            plan.name, recorded.t, recorded.values, columns, _told_once(recorded.events, plan), recorded.measures,
-            replace(recorded.statistics, seconds=self.seconds), self.interrupted,
-            warnings=(*self.found, *recorded.warnings, *(() if over is None else (over,))),
+            plan.name, recorded.t, recorded.values, dict(plan.recorded), _told_once(recorded.events, plan),
+            recorded.measures, replace(recorded.statistics, seconds=self.seconds), self.interrupted, origin,
+            (*before, *self.found, *recorded.warnings, *(() if over is None else (over,))), between,
         )  # fmt: skip
 
     @contextmanager

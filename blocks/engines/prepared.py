@@ -198,7 +198,9 @@ class Prepared:
         bound = None if run_settings is None else self._bound(parameters, run_settings)
         if run_settings is None or bound is None:
             return None
-        made = replace(self, parameters=parameters, settings=settings, plan=bound)
+        if bound is self.plan and _same(parameters, self.parameters) and _same(settings, self.settings):
+            return self
+        made = Prepared(self.value, self.resolver, parameters, settings, bound, self.outside, self.alike)
         base = self.alike.made.get(frozenset(parameters), self)
         if _same(parameters, base.parameters) and run_settings.seed == base.plan.settings.seed:
             vars(made).update(equations=base.equations)  # as they were when it was flattened
@@ -219,7 +221,7 @@ class Prepared:
             return None
         seed = settings.seed
         if not tunable and _same(parameters, base.parameters) and seed == base.plan.settings.seed:
-            return base.plan if settings is base.plan.settings else replace(base.plan, settings=settings)
+            return base.plan if settings is base.plan.settings else _with_settings(base.plan, settings)
         if not isinstance(base.plan, Plan):
             return None
         known = alike.rebindings.get(names)
@@ -232,7 +234,7 @@ class Prepared:
         if not known.is_possible or not all(map(known.is_tunable, tunable)):
             return None
         row = known.row(parameters, seed)
-        return None if row is None else replace(base.plan, parameters=row, settings=settings)
+        return None if row is None else base.plan.with_values(row, settings)
 
     def rebinding(self, free: Iterable[str] | None = None) -> Rebinding:
         """How other values of its parameters, or of those that are free, get into its Plan, which is of one solver."""
@@ -267,6 +269,10 @@ class Prepared:
         inputs_are = f"Inputs: {', '.join(inputs) or 'none'}"
         cure = did_you_mean(name, known) or f"{inputs_are}; a parameter needs its path, as in motor.Ra."
         return UsageError(Fault("E502", legible(name), "there is no such input or parameter.", cure))
+
+
+def _with_settings(plan: Plan | Coupling, settings: RunSettings) -> Plan | Coupling:
+    return plan.with_values(plan.parameters, settings) if isinstance(plan, Plan) else replace(plan, settings=settings)
 
 
 def _equal(one: Any, other: Any) -> bool:

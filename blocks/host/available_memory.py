@@ -123,15 +123,17 @@ def _limits() -> Iterator[float]:
     except ImportError:  # Python in a browser, which has no such limits
         return
 
-    limits = [(getattr(resource, name, None), field) for name, field in (("RLIMIT_AS", 0), ("RLIMIT_DATA", 5))]
-    current_limits = [(resource.getrlimit(kind)[0], field) for kind, field in limits if kind is not None]
-    if any(limit != resource.RLIM_INFINITY for limit, _ in current_limits):
+    limits = []
+    for name, field in (("RLIMIT_AS", 0), ("RLIMIT_DATA", 5)):
+        kind = getattr(resource, name, None)
+        if kind is not None and (limit := resource.getrlimit(kind)[0]) != resource.RLIM_INFINITY:
+            limits.append((limit, field))
+    if limits:
         with contextlib.suppress(OSError, ValueError, IndexError):
             with open("/proc/self/statm", "rb") as stream:
                 pages = stream.read().split()
-            for limit, field in current_limits:
-                if limit != resource.RLIM_INFINITY:
-                    yield float(limit) - int(pages[field]) * resource.getpagesize()
+            for limit, field in limits:
+                yield float(limit) - int(pages[field]) * resource.getpagesize()
     for group in _groups(os.getpid()):
         with contextlib.suppress(OSError, ValueError, KeyError):
             yield group.left()

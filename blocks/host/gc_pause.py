@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ContextDecorator
 
 
-@contextmanager
-def paused() -> Iterator[None]:
+class paused(ContextDecorator):
     """No search for circular garbage inside; as a decorator, none during a call.
 
     The collector searches whenever there are a quarter more objects than at its last full search. While a large
     diagram is read and planned nearly all of them stay, and the searches take as long as the work itself. Only the
     search waits: what nothing refers to is freed at once, as ever. A collector that is off stays off.
     """
-    runs = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if runs:
+
+    def _recreate_cm(self) -> paused:
+        return paused()  # calls nest, and threads may make them at once
+
+    def __enter__(self) -> None:
+        self._runs = gc.isenabled()
+        gc.disable()
+
+    def __exit__(self, *raised: object) -> None:
+        if self._runs:
             gc.enable()

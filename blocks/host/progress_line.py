@@ -7,28 +7,20 @@ import multiprocessing
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 SOON, AGAIN = 0.5, 0.2  # s until it is first shown, and between two of it
 Told = Callable[..., None]
 
 
-@contextmanager
-def live_line(given: Told | None, words: Callable[..., tuple[float, str]]) -> Iterator[Told | None]:
+def live_line(given: Told | None, words: Callable[..., tuple[float, str]]) -> AbstractContextManager[Told | None]:
     """What a long call is to report to: `given`, where a caller gave it; in a notebook a line; else None.
 
     words: of what is reported, the share that is done, from 0 to 1, and how far it is in words.
     """
-    if given is not None or not _in_notebook():
-        yield given
-        return
-    line = _Line(words)
-    try:
-        yield line
-    finally:
-        line.clear()
+    return nullcontext(given) if given is not None or not _in_notebook() else _Line(words)
 
 
 def in_rows(noun: str) -> Callable[[int, int], tuple[float, str]]:
@@ -53,6 +45,13 @@ class _Line:
         self.begun = time.perf_counter()
         self.due = self.begun + SOON
 
+    def __enter__(self) -> _Line:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        if self.handle is not None:
+            self.show({"text/plain": "", "text/html": ""})
+
     def __call__(self, *told: object) -> None:
         now = time.perf_counter()
         if now < self.due:
@@ -63,10 +62,6 @@ class _Line:
         text = f"{share:.0%}  {text}" + (f"  {left:.0f} s left" if left >= 1 else "")
         bar = f'<progress max="1" value="{share:.3f}"></progress>'
         self.show({"text/plain": text, "text/html": f"{bar} {html.escape(text)}"})
-
-    def clear(self) -> None:
-        if self.handle is not None:
-            self.show({"text/plain": "", "text/html": ""})
 
     def show(self, forms: dict[str, str]) -> None:
         if self.handle is None:

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 
 class _Asked:
-    """A text that is computed when it is first read: most results never need it."""
+    """A field that is computed when it is first read: most results never need it. default: or a function that makes it.
+    """
+
+    def __init__(self, default: object) -> None:
+        self.default = default
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = f"_{name}"
 
-    def __get__(self, instance: object, owner: type | None = None) -> str:
+    def __get__(self, instance: object, owner: type | None = None) -> Any:
         if instance is None:
-            return ""  # the default of the field
+            return self.default
         value = getattr(instance, self.name)
-        if not isinstance(value, str):
+        if callable(value):
             value = value()
             object.__setattr__(instance, self.name, value)
-        return str(value)
+        return value
 
-    def __set__(self, instance: object, value: str | Callable[[], str]) -> None:
+    def __set__(self, instance: object, value: object) -> None:
         object.__setattr__(instance, self.name, value)
 
 
@@ -38,14 +42,14 @@ class Origin:
 
     sha256: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: _Asked = _Asked(dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     inputs: Mapping[str, Any] = field(default_factory=dict)
-    equations: _Asked = _Asked()
-    values: _Asked = _Asked()
+    equations: _Asked = _Asked("")
+    values: _Asked = _Asked("")
 
     def __getstate__(self) -> dict[str, Any]:
-        asked = ("equations", "values")
+        asked = ("settings", "equations", "values")
         return {f"_{name}" if name in asked else name: getattr(self, name) for name in self.kinds()}
 
     def told(self) -> dict[str, Any]:

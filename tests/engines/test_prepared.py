@@ -3,12 +3,14 @@
 import dataclasses
 import random
 from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from blocks import Block, Diagram, Parameter, output
+from blocks import Block, Diagram, Parameter, Sine, TransportDelay, ZeroOrderHold, output
 from blocks.compile.bindings import bindings
 from blocks.compile.plan import Plan
 from blocks.engines.prepared import Prepared
@@ -132,3 +134,27 @@ def test_other_values_in_a_shipped_diagram_make_the_plan_that_is_made_anew(path:
         pytest.skip("it is stepped by a master")
     quick, _ = compared(diagram, {"stop": span(path, 1.0)}, random.Random(path.stem), 8)
     assert quick > 5 or path.stem == "consensus"  # whose numbers are a count of copies, edges and expressions
+
+
+def test_what_is_derived_of_a_plan_with_other_values_is_of_these() -> None:
+    """A derived value that is taken over although it depends on parameters or settings would be one of other runs."""
+    diagram = Diagram("late")
+    wave = diagram.add("wave", Sine(amplitude=1.0))
+    late = diagram.add("late", TransportDelay(delay=0.5))
+    held = diagram.add("held", ZeroOrderHold(period=0.25))
+    diagram.wire(late.u, wave.y)
+    diagram.wire(held.u, late.y)
+    diagram.settings(stop=2.0)
+    plan = prepared(diagram, {"late.delay": 0.5}, {}).plan
+    assert isinstance(plan, Plan)
+    derived = [name for name, value in vars(Plan).items() if isinstance(value, cached_property)]
+    for name in derived:
+        getattr(plan, name)
+    parameters = tuple(0.75 if x == 0.5 else x for x in plan.parameters)
+    settings = dataclasses.replace(plan.settings, start=Fraction(-3), stop=Fraction(4))
+    taken = plan.with_values(parameters, settings)
+    anew = dataclasses.replace(plan, parameters=parameters, settings=settings)
+    assert taken.delays != plan.delays
+    assert taken.time_scale != plan.time_scale
+    assert {name: getattr(taken, name) for name in derived} == {name: getattr(anew, name) for name in derived}
+    assert {**vars(taken)}.keys() >= {field.name for field in dataclasses.fields(Plan)}

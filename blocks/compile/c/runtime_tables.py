@@ -138,9 +138,9 @@ class RuntimeTables:
         self.causes = _table(rows, runtime_layout.CAUSE)
         self.resets = _table([reset for _, reset in resets], runtime_layout.RESET)
         self.listed = np.array(sorted(range(len(causes)), key=lambda i: rank(causes[i].node)), dtype=np.int32)
-        self.told_as = [
+        self.told_as = tuple(
             (instances[cause.instance].told_as or instances[cause.instance].path, cause.name) for cause in causes
-        ]
+        )
 
     def _of_causes_of_copies(self, plan: Plan, folded: Folded) -> None:
         """The same where they are known of one copy."""
@@ -176,7 +176,7 @@ class RuntimeTables:
         self.causes = _table(rows, runtime_layout.CAUSE)
         self.resets = _table([reset for _, reset in sorted(resets)], runtime_layout.RESET)
         self.listed = np.array([number for _, number in sorted(listed)], dtype=np.int32)
-        self.told_as = told
+        self.told_as = tuple(told)
 
     def _of_waits(self, order: FiringOrder) -> None:
         """Which causes wait for which."""

@@ -114,6 +114,8 @@ class Model(RuntimeTables):
         located = [float(isinstance(begin, Reference)) for begin in begins]
         self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
+        self.constants = self.numbers.ctypes.data, self.tables.ctypes.data
+        """Where the rows n and c are."""
         self._carried: CarriedOrder | None = None
         self._of_measures: tuple[object, object, Measures] | None = None
         self._of_settings: tuple[object, object, int] | None = None  # of the last run

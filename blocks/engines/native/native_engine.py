@@ -12,7 +12,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -77,8 +77,7 @@ class NativeEngine:
         self.tracks: list[Array] = []
         self._oracle: ReferenceEngine | None = None
         self._failure: BaseException | None = None
-        self._lock = threading.RLock()
-        self._is_inside = False  # whether a program of a stepper runs
+        self._alone = _Alone(plan.name)
         self._stop_exact: Fraction | None = None
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
@@ -92,10 +91,15 @@ class NativeEngine:
         if is_silent:
             self._handle.setup.every.is_given = 0  # no row is made that nobody takes
         self._measured = self.model.measures_of(plan)
+        self._is_clear = False
         self._clear()
+        self._is_clear = True
 
     def _clear(self) -> None:
         """Nothing has run yet."""
+        if self._is_clear:  # as it was made
+            self._is_clear = False
+            return
         self.model.library.blocks_reset(self.address)
         self._oracle = None
         self.told: list[Array] = []  # pieces of (t, cause)
@@ -142,12 +146,13 @@ class NativeEngine:
         setup.atol = atol.ctypes.data
         setup.most_bytes = for_recording() / COPIES
         table = self._table(setup)
-        callback = runtime_layout.CALLBACK(self._called) if plan.steppers else runtime_layout.CALLBACK()
-        setup.callback = ctypes.cast(callback, ctypes.c_void_p).value
+        callback = runtime_layout.CALLBACK(self._called) if plan.steppers else None
+        if callback is not None:
+            setup.callback = ctypes.cast(callback, ctypes.c_void_p).value
         keep = (model, atol, table, callback, setup)
         handle = Handle(model, setup, keep)
         memory = handle.sim.memory
-        memory.n, memory.c = model.numbers.ctypes.data, model.tables.ctypes.data
+        memory.n, memory.c = model.constants
         memory.f = None if self._foreign is None else self._foreign.address
         return handle
 
@@ -179,17 +184,8 @@ class NativeEngine:
 
     def _call(self, function: Callable[..., int], *arguments: object) -> int:
         """A function of the C side, for this thread alone."""
-        with self._alone():
+        with self._alone:
             return function(*arguments)
-
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """No other thread uses the C side meanwhile. Raises UsageError (E501) inside the run's own stepper."""
-        with self._lock:
-            if self._is_inside:  # this thread: others wait
-                message = "a stepper cannot use the run that it is part of."
-                raise UsageError(Fault("E501", self.plan.name, message, "Use the stepper's inputs and outputs."))
-            yield
 
     # --- going on --------------------------------------------------------------------------------------------------
 
@@ -210,7 +206,7 @@ class NativeEngine:
             self._foreign.listen()
         end, model, begun = float(stop), self.model, time.perf_counter()
         library = self.take_code()
-        with self._hearing():
+        with self._hearing() if self.plan.steppers or self.plan.foreign else _UNHEARD:
             status = self._call(library.blocks_advance, self.address, end, 0, 2)
         model.code.hurry(time.perf_counter() - begun)
         if self.sim.exact == 2 and self.sim.t == end and not self.sim.outstanding:
@@ -257,22 +253,19 @@ class NativeEngine:
 
     @contextmanager
     def _hearing(self) -> Iterator[None]:
-        """An interrupt while C runs is raised when it has come back, or inside the program of a stepper.
+        """Where Python takes part in C, an interrupt is raised when C has come back, or in the program of a stepper.
 
         Python would else raise it on the way from C to such a program, or to what hears an FMU, where nobody can
         catch it.
         """
-        if not (self.plan.steppers or self.plan.foreign):
-            yield
-            return
-        with patient(lambda: self._is_inside) as look_up:
+        with patient(lambda: self._alone.is_inside) as look_up:
             yield
             if self._failure is None:
                 look_up()
 
     def _drain(self) -> None:
         """Take over the events that C has gathered."""
-        with self._alone():
+        with self._alone:
             self._take_over()
 
     def _take_over(self) -> None:
@@ -286,7 +279,7 @@ class NativeEngine:
         """Run a stepper by means of the reference engine."""
         try:
             try:
-                self._is_inside = True
+                self._alone.is_inside = True
                 instants = self._reference().instants
                 if what == 1:
                     instants.programs.pop(number, None)
@@ -299,9 +292,9 @@ class NativeEngine:
                     outputs[place] = d[slot]
                 return 0
             finally:
-                self._is_inside = False
+                self._alone.is_inside = False
         except BaseException as error:  # it is raised again when C has come back
-            self._is_inside = False
+            self._alone.is_inside = False
             self._failure = error
             return 1
 
@@ -385,7 +378,7 @@ class NativeEngine:
         return None if self._foreign is None else self._foreign.adopt()
 
     def _state(self, overrides: Mapping[str, object]) -> State:
-        with self._alone():
+        with self._alone:
             return self._state_now(overrides)
 
     def _state_now(self, overrides: Mapping[str, object]) -> State:
@@ -506,7 +499,7 @@ class NativeEngine:
             self.fail()
 
     def set_input(self, index: int, value: Array) -> None:
-        with self._alone():
+        with self._alone:
             self._set_input(index, value)
 
     def _set_input(self, index: int, value: Array) -> None:
@@ -516,7 +509,7 @@ class NativeEngine:
         self.model.library.blocks_reload(self.address)
 
     def set_parameters(self, plan: Plan) -> None:
-        with self._alone():
+        with self._alone:
             self._set_parameters(plan)
 
     def _set_parameters(self, plan: Plan) -> None:
@@ -538,7 +531,7 @@ class NativeEngine:
         self.sim.outstanding = self.sim.changed = 1
 
     def values(self, references: tuple[Reference, ...]) -> Row:
-        with self._alone():
+        with self._alone:
             return self._values(references)
 
     def _values(self, references: tuple[Reference, ...]) -> Row:
@@ -570,7 +563,7 @@ class NativeEngine:
 
         def rates(x: Array) -> Array:
             given = np.ascontiguousarray(x[order])
-            with self._alone():
+            with self._alone:
                 counted = self.sim.evaluations
                 library.blocks_rates(self.address, t, given.ctypes.data, out.ctypes.data)
                 self.sim.evaluations = counted
@@ -586,7 +579,7 @@ class NativeEngine:
         return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))  # without the room for more of them
 
     def recorded(self) -> Recorded:
-        with self._alone():
+        with self._alone:
             return self._recorded()
 
     def _recorded(self) -> Recorded:
@@ -596,7 +589,7 @@ class NativeEngine:
         method = told_method(self.settings.method, sim.stiff_from)
         statistics = Statistics(method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
-        events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
+        events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), model.told_as)
         measures, uncovered = self._measures().results(self.t)
         warnings = (*self.warnings, *uncovered, *self._unseen())
         return Recorded(whole[:, 0], whole[:, 1:], events, measures, statistics, warnings)
@@ -619,7 +612,9 @@ class NativeEngine:
     def _counts(self) -> tuple[int, int]:
         """How many rows stand in the first memory, and in chunks of C."""
         rows = self.sim.rows
-        counts = [len(self._first), *array(rows.counts, rows.nchunks, ctypes.c_int64).tolist()]
+        counts = [len(self._first)]
+        if rows.nchunks:
+            counts += array(rows.counts, rows.nchunks, ctypes.c_int64).tolist()
         counts[-1] -= ((rows.end or 0) - (rows.next or 0)) // (8 * self._first.shape[1])  # None: nothing is recorded
         return counts[0], sum(counts[1:])
 
@@ -632,7 +627,7 @@ class NativeEngine:
         return taken
 
     def taken(self) -> Array:
-        with self._alone():
+        with self._alone:
             self.sim.slice = min(self.sim.slice, 0.01)  # s: so few rows gather until the next moment
             first, in_chunks = self._counts()
             if not first:
@@ -673,12 +668,36 @@ class NativeEngine:
 
     def _unseen(self) -> tuple[Fault, ...]:
         """What was not seen inside steps (W304)."""
-        by_look = {name: Unseen(raw.t, raw.what, raw.rows) for name, raw in zip(LOOKS, self.sim.unseen, strict=True)}
-        if all(math.isnan(unseen.t) for unseen in by_look.values()):
+        raws = self.sim.unseen
+        if all(math.isnan(raw.t) for raw in raws):
             return ()
+        by_look = {name: Unseen(raw.t, raw.what, raw.rows) for name, raw in zip(LOOKS, raws, strict=True)}
         plan, motions = self.plan, Motions(self.plan)
         asked = looked_at(plan, self._measured.references, self.model.logged)
         return unseen_faults(plan, {name: motions.of(asked[name]) for name in LOOKS}, by_look)
+
+
+class _Alone:
+    """No other thread uses the C side of a run meanwhile. Raises UsageError (E501) inside the run's own stepper.
+
+    is_inside: whether a program of a stepper runs.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name, self._lock, self.is_inside = name, threading.RLock(), False
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+        if self.is_inside:  # this thread: others wait
+            self._lock.release()
+            message = "a stepper cannot use the run that it is part of."
+            raise UsageError(Fault("E501", self._name, message, "Use the stepper's inputs and outputs."))
+
+    def __exit__(self, *raised: object) -> None:
+        self._lock.release()
+
+
+_UNHEARD = nullcontext()
 
 
 def in_brief(plan: Plan, failure: int, culprit: int, t: float, cure: str) -> Fault:

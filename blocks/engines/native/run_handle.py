@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 MOST_SPARE, LARGEST_SPARE = 4, 2**22  # pieces of memory, bytes
 _KINDS = {"d": ctypes.c_double, "q": ctypes.c_int64, "i": ctypes.c_int32}
+_TYPES = {kind: np.dtype(kind) for kind in _KINDS.values()}
 
 
 def entries_of(sim: Any) -> dict[str, Entry]:
@@ -77,7 +78,7 @@ def array(address: Any, size: int, kind: Any = ctypes.c_double) -> Array:
     """Memory of C as an array, which does not own it."""
     if size == 0:
         return np.empty(0, kind)
-    return np.ctypeslib.as_array((kind * size).from_address(address))
+    return np.frombuffer((kind * size).from_address(address), _TYPES[kind])
 
 
 def track_table(inputs: InputTable) -> tuple[Array, list[Array]]:

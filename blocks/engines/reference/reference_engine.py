@@ -85,7 +85,7 @@ class ReferenceEngine:
         self.asked: dict[tuple[Reference, ...], Evaluator] = {}
         self.instants = Instants(plan, self.compiled)
         self.instants.foreign = foreign if foreign is not None else Foreigns.of(plan)
-        self.logged: list[Reference] = [ref for name in plan.log for ref in plan.signal(name).references]
+        self.logged: list[Reference] = [*plan.columns]
         self.is_silent = is_silent
         self.compiled_rates: Rates | None = None  # dx/dt by compiled code, in the place of the program
         measured = Measures(plan).references

@@ -23,8 +23,8 @@ CURE = "Record fewer signals (--log), or on a coarser grid (--every)."
 
 def check_plan(plan: Plan, begin: Fraction, *, is_native: bool, is_streamed: bool = False) -> None:
     """Raise UsageError (E311) where a run from `begin` on cannot fit into memory."""
-    elements = sum(len(plan.signal(name).references) for name in plan.log)
-    check(plan.name, 0 if is_streamed else rows_of(plan, begin), elements, _of_past(plan, begin, is_native=is_native))
+    rows, elements = 0 if is_streamed else rows_of(plan, begin), len(plan.columns)
+    check(plan.name, rows, elements, _of_past(plan, begin, is_native=is_native))
 
 
 def check(place: str, rows: int, elements: int, more: float = 0.0, *, copies: float = COPIES) -> None:

@@ -57,7 +57,7 @@ class Row(NamedTuple):
 
 def recorded_width(plan: Plan) -> int:
     """Return how many numbers a recorded row has: the time, and the elements of the signals of the log."""
-    return 1 + sum(len(plan.signal(name).references) for name in plan.log)
+    return 1 + len(plan.columns)
 
 
 def _table(plan: Plan, method: str) -> dict[str, Row]:
