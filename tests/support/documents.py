@@ -19,9 +19,12 @@ ALIKE = (
 
 
 def is_unlike(path: Path) -> bool:
-    """Whether a diagram is built as no other one is. Those of the gallery are built of what other tests look at."""
+    """Whether a diagram is built as no other one is.
+
+    Those of the gallery and of published works (adrc/WORK) are built of what other tests look at.
+    """
     place = path.relative_to(FOLDER)
-    return place.parts[0] != "gallery" and place.with_suffix("").as_posix() not in ALIKE
+    return place.parts[0] != "gallery" and len(place.parts) < 3 and place.with_suffix("").as_posix() not in ALIKE
 
 
 def span(path: Path, most: float) -> float:
