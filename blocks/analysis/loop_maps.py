@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -49,6 +49,8 @@ MEASURES = {
 """The measures of a map by name, with their titles in figures."""
 _MOST = 250_000
 _CHECKED = 1e-8
+_ROUNDING = 1e-12
+"""Of the largest response: what is small beside it, as |S| at low frequencies, is a difference of larger numbers."""
 _SHOWN = ("Ms", "phase_deg", "disturbance", "noise")
 Limits = Mapping[str, tuple[float | None, float | None]]
 Stacks = list[tuple[Array, Stack]]
@@ -76,10 +78,10 @@ class LoopMap(Shown):
 
     def feasible(self, **limits: tuple[float | None, float | None]) -> Array:
         """Where the closed loop is stable and each measure lies within (least, most); None is no limit."""
-        return self._slack(limits) >= 0
+        return self.slack(limits) >= 0
 
-    def _slack(self, limits: Limits) -> Array:
-        """How far each point is within the nearest limit, relative to it; below 0 outside and where it is unstable."""
+    def slack(self, limits: Limits) -> Array:
+        """Return how far each point is within the nearest limit, relative to it; below 0 outside and if unstable."""
         slack = np.where(np.isfinite(self.measures["Ms"]), np.inf, -1.0)
         for name, ends in limits.items():
             values = self._measure(name)
@@ -108,6 +110,12 @@ class LoopMap(Shown):
             raise AnalysisError(Fault("E705", self.diagram, message, "Widen the ranges or the limits."))
         return self._place(np.unravel_index(int(np.nanargmin(values)), values.shape))
 
+    def at(self, point: Mapping[str, float]) -> dict[str, float]:
+        """Return the measures at the point of the map nearest to a point: `found.at(found.best("noise"))`."""
+        order = zip(self.parameters, self.values, strict=True)
+        place = tuple(int(np.abs(values - point[name]).argmin()) for name, values in order)[::-1]
+        return {name: float(values[place]) for name, values in self.measures.items()}
+
     def plot(self, *measures: str, limits: Limits | None = None, **look: Unpack[Look]) -> Figure:
         """Draw measures as contours over both parameters, or as curves over one.
 
@@ -119,7 +127,7 @@ class LoopMap(Shown):
         names = measures or tuple(name for name in _SHOWN if name in self.measures)
         for name in names:
             self._measure(name)
-        return drawn(self, names, None if limits is None else self._slack(limits), MEASURES, look)
+        return drawn(self, names, None if limits is None else self.slack(limits), MEASURES, look)
 
     def as_json(self) -> dict[str, Any]:
         """The map as JSON data: the values of the parameters, and tables of measures with null for no number."""
@@ -174,6 +182,7 @@ def loop_map(
     amplitude: Mapping[str, object] | None = None,
     sigma: Mapping[str, object] | None = None,
     at: float | None = None,
+    check: Callable[[], None] | None = None,
     **words: Unpack[PointWords],
 ) -> LoopMap:
     """The margins and peaks of `loop_report` over one or two parameters: bandwidths, b0, a gain of the plant.
@@ -183,7 +192,8 @@ def loop_map(
     what is controlled. measurement: where noise enters; without it, `output` as all see it. disturbance: an input of
     the diagram or a signal; without it, what is added to the control. frequency: in rad/s, for the measure
     `at_frequency`. pade: the order of models of exact delays. at: a time in s, for the operating point of each point of
-    the map. The others are as of `Diagram.linearizer`.
+    the map. check: called at each point; the map ends with whatever it raises. The others are as of
+    `Diagram.linearizer`.
 
     The matrices of continuous loops are computed all at once, those of sampled loops one by one. Margins are nan where
     the closed loop is not stable, and where there is none, as behind a saturation at its limit.
@@ -205,15 +215,17 @@ def loop_map(
     case = Case() if case is None else case
     case = case.updated(**words) if words else case
     each = [dict(zip(names, row, strict=True)) for row in _rows(values)]
-    stacks = _at_once(diagram, case, each, ends, pade, point) or _one_by_one(diagram, case, each, ends, pade, point)
+    check = check or (lambda: None)
+    given = diagram, case, each, ends, pade, point, check
+    stacks = _at_once(*given) or _one_by_one(*given)
     found = _measures(stacks, len(each), ends, (control, output, measured, enters), frequency)
     if not np.isfinite(found["Ms"]).any():  # it may be in no loop, or behind a law that passes nothing on
         check_loop(_at(diagram, case, each[0], point).exact_loop([control], pade=pade), control)
     shape = tuple(len(each) for each in reversed(values))
-    given, units = _present(diagram, case, names)
+    present, units = _present(diagram, case, names)
     return LoopMap(
         diagram.name, control, output, names, units, values,
-        {name: numbers.reshape(shape) for name, numbers in found.items()}, given, frequency,
+        {name: numbers.reshape(shape) for name, numbers in found.items()}, present, frequency,
     )  # fmt: skip
 
 
@@ -265,11 +277,13 @@ def _at_once(
     ends: tuple[list[str], list[str]],
     pade: int,
     point: Mapping[str, Any],
+    check: Callable[[], None],
 ) -> Stacks:
     """The models of all points from one Plan; none where that is not what single points give."""
     linearizer = _at(diagram, case, each[0], point)
     plan, columns = linearizer.plan, []
     for at in _points(diagram, case, each, linearizer.slopes.point, point["at"]):
+        check()
         if at.plan.instances is not plan.instances or at.plan.delays != plan.delays:
             return []
         columns.append(read_at(linearizer.graph, at))
@@ -311,7 +325,8 @@ def _is_seen_in(stack: Stack, k: int, single: Transfer) -> bool:
                 Loops(each.A).response(each.B[:, :, i], each.C[:, o], each.D[:, o, i])(np.zeros(1, dtype=int), omega)
                 for each in (whole, alone)
             )
-            if not (np.abs(own - other) <= _CHECKED * np.abs(other)).all():
+            size = np.abs(other)
+            if not (np.abs(own - other) <= _CHECKED * size + _ROUNDING * size.max()).all():
                 return False
     return True
 
@@ -323,9 +338,13 @@ def _one_by_one(
     ends: tuple[list[str], list[str]],
     pade: int,
     point: Mapping[str, Any],
+    check: Callable[[], None],
 ) -> Stacks:
     """The same from one model at a time, those of equal size and period together."""
-    models = [_at(diagram, case, one, point).transfer(*ends, pade=pade) for one in each]
+    models = []
+    for one in each:
+        check()
+        models.append(_at(diagram, case, one, point).transfer(*ends, pade=pade))
     kinds: dict[object, list[int]] = {}
     for k, model in enumerate(models):
         kinds.setdefault((model.A.shape, model.dt), []).append(k)

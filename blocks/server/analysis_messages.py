@@ -50,7 +50,7 @@ MOST_POINTS = 1000
 """Points of time of a band."""
 _POINTS: WeakKeyDictionary[LiveRun, tuple[Any, OperatingPoint]] = WeakKeyDictionary()
 """Where each run was linearized last."""
-_PADE = 5
+PADE = 5
 _SHARE = 0.1
 """The least part of a state in a mode that is named with it, relative to the largest."""
 
@@ -58,7 +58,7 @@ _SHARE = 0.1
 # --- where it is linearized ------------------------------------------------------------------------------------------
 
 
-def _linearizer(
+def linearized(
     session: Session, at: str | float, amplitude: Amplitude
 ) -> tuple[Linearizer, str, AnalysisError | None]:
     """The slopes where they are asked for, with describing functions; where that is, in words; and what was refused.
@@ -115,10 +115,10 @@ def _again(session: Session, live: LiveRun, t: float, turned: list[Any]) -> Run:
     return run
 
 
-def _answer(
+def analyzed(
     linearizer: Linearizer, where: str, made: Callable[[], dict[str, Any]], laws: list[dict[str, Any]],
     refused: AnalysisError | None,
-) -> Answer:  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
     """What is made at a point. Where that is refused, `faults` says so, and `laws` which amplitudes can be given."""
     told: dict[str, object] = {"is": "analysis", "title": where, "laws": laws, "faults": []}
     try:
@@ -137,7 +137,7 @@ def _answer(
         return told | {"faults": faults}
 
 
-def _laws(linearizer: Linearizer, *ends: list[str]) -> list[dict[str, object]]:
+def laws_of(linearizer: Linearizer, *ends: list[str]) -> list[dict[str, object]]:
     """The laws that bend and read one signal, by it, on the way from inputs to outputs, with openings.
 
     rough: it has no slope where it stands.
@@ -161,10 +161,10 @@ def _or_pade(make: Callable[[int], Transfer]) -> tuple[Transfer, list[str]]:
     except AnalysisError as error:
         if {fault.code for fault in error.faults} != {"E707"}:
             raise
-    model = make(_PADE)
+    model = make(PADE)
     if model.dt:
-        return model, [f"All of this: with Padé models of order {_PADE} for delays in loops in continuous time."]
-    return model, [f"Poles and zeros: with Padé models of order {_PADE} for exact delays."]
+        return model, [f"All of this: with Padé models of order {PADE} for delays in loops in continuous time."]
+    return model, [f"Poles and zeros: with Padé models of order {PADE} for exact delays."]
 
 
 def _finite(value: float | None) -> float | None:
@@ -179,10 +179,10 @@ def response(
     session: Session, *, input: str, output: str = "", at: str | float = "start", amplitude: Amplitude = None
 ) -> Answer:
     """The response from a signal to another; without this one the loop opened at the first, with its margins."""
-    linearizer, where, refused = _linearizer(session, at, amplitude)
+    linearizer, where, refused = linearized(session, at, amplitude)
     title = f"{input} to {output}. " if output else f"Loop opened at {input}. "
-    laws = _laws(linearizer, [input], [output or input], [] if output else [input])
-    return _answer(
+    laws = laws_of(linearizer, [input], [output or input], [] if output else [input])
+    return analyzed(
         linearizer, title + where, lambda: _over_frequency(session, linearizer, input, output), laws, refused
     )
 
@@ -232,7 +232,7 @@ def _over_frequency(session: Session, linearizer: Linearizer, input: str, output
 @handles_aside
 def modes(session: Session, *, at: str | float = "start", amplitude: Amplitude = None) -> Answer:
     """The modes of the linear model of the whole diagram, with the states that take part in each."""
-    linearizer, where, refused = _linearizer(session, at, amplitude)
+    linearizer, where, refused = linearized(session, at, amplitude)
 
     def made() -> dict[str, Any]:
         model, notes = _or_pade(lambda pade: linearizer.whole(pade=pade))
@@ -242,7 +242,7 @@ def modes(session: Session, *, at: str | float = "start", amplitude: Amplitude =
         count = "1 state." if model.nstates == 1 else f"{model.nstates} states."
         return {"head": head, "rows": list(_modes(model)), "notes": [count, *notes]}
 
-    return _answer(linearizer, where, made, _laws(linearizer, [], []), refused)
+    return analyzed(linearizer, where, made, laws_of(linearizer, [], []), refused)
 
 
 def _modes(model: Transfer) -> Iterator[list[object]]:
@@ -273,7 +273,7 @@ def _modes(model: Transfer) -> Iterator[list[object]]:
 def cycles(session: Session, *, at: str | float = "rest") -> Answer:
     """The limit cycles around the point, by harmonic balance."""
     try:
-        linearizer, where, _ = _linearizer(session, at, None)
+        linearizer, where, _ = linearized(session, at, None)
         found = limit_cycles(linearizer, check=session.check_wanted)
     except AnalysisError as error:  # whose cures name arguments of the library
         cures = {"E702": 'Look "at the start".'} if at == "rest" else {"E705": 'Choose "where it rests".'}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from ..text.errors import BlocksError
 from .facts import Fact
@@ -16,10 +16,10 @@ def followed(session: Session) -> Mapping[str, Fact]:
     return session.document.facts if session.values or session.inputs or _running(session) else {}
 
 
-def follow(session: Session, before: Mapping[str, Fact], put: str = "") -> str:
+def follow(session: Session, before: Mapping[str, Fact], put: Collection[str] = ()) -> str:
     """Take what the file says now in place of what it said; returns what a run that goes on does not take, and why.
 
-    put: the path of what was given a value, which may be the one that the file has.
+    put: the paths of what was given values, which may be those that the file has.
     """
     running, later = _running(session), []
     if not (session.values or session.inputs or running):
@@ -29,7 +29,7 @@ def follow(session: Session, before: Mapping[str, Fact], put: str = "") -> str:
         return "the diagram has faults."
     for name, fact in facts.items() if put or facts is not before else ():
         was = before.get(name)
-        is_set = name == put and (name in session.values or name in session.inputs)
+        is_set = name in put and (name in session.values or name in session.inputs)
         if was is None or "[" in name or not (is_set or _says_another(fact, was)):
             continue  # a new one is not in the run; copies are set by the name of all
         session.values.pop(name, None)
@@ -38,7 +38,7 @@ def follow(session: Session, before: Mapping[str, Fact], put: str = "") -> str:
             if running:
                 running.set(name, fact.said)
         except BlocksError as error:
-            later.append(f"{'' if name == put else f'{name}: '}{error.faults[0].message}")
+            later.append(f"{'' if [name] == [*put] else f'{name}: '}{error.faults[0].message}")
     return " ".join(later[:3])
 
 

@@ -57,10 +57,10 @@ def _editor(session: Session) -> Editor:
 
 
 def _done(
-    session: Session, what: str, operations: Operations, names: Iterable[str] = (), put: str = ""
+    session: Session, what: str, operations: Operations, names: Iterable[str] = (), put: Sequence[str] = ()
 ) -> dict[str, Any]:  # fmt: skip
     """Do a gesture, tell all pages, and answer which names came of it, which other files changed with it, and which
-    would have to (`left`). put: what was given a value, by its path.
+    would have to (`left`). put: what was given values, by their paths.
     """
     before = followed(session)
     with _refused(session) as editor:
@@ -92,7 +92,7 @@ def _refused(session: Session) -> Iterator[Editor]:
 
 def _told(
     session: Session, what: str, before: Mapping[str, Fact], names: Iterable[str] = (), files: Sequence[str] = (),
-    put: str = "",
+    put: Sequence[str] = (),
 ) -> dict[str, Any]:  # fmt: skip
     later = follow(session, before, put)
     if (session.values or session.inputs) and session.document.planned is not None:
@@ -397,6 +397,23 @@ def put(session: Session, *, name: str, text: str | list[str | None], level: str
     A run that goes on takes it at once where it can, as it does with what any gesture changes; the answer says where it
     does not (`later`).
     """
+    operations = [_in(level, one) for one in _puts(session, name, text, level)]
+    return _set(session, [f"{level}.{name}".lstrip(".")], operations)
+
+
+@handles
+def put_all(session: Session, *, values: dict[str, str]) -> Answer:
+    """Write several parameters, by their paths, as one step."""
+    operations = []
+    for path, text in values.items():
+        parts = path.split(".")
+        level = ".".join(parts[:-2])
+        operations += [_in(level, one) for one in _puts(session, ".".join(parts[-2:]), text, level)]
+    return _set(session, [*values], operations)
+
+
+def _puts(session: Session, name: str, text: str | list[str | None], level: str) -> list[dict[str, Any]]:
+    """Return the operations, in a level, that write a value as typed."""
     editor = _begun(session)
     body, (block, _, own) = editor.body(level), name.rpartition(".")
     type_ = ""
@@ -431,18 +448,16 @@ def put(session: Session, *, name: str, text: str | list[str | None], level: str
         elif isinstance(entry, Mapping) and "value" in entry:
             raw = _value(text, name, "", fact, entry)
             more: Mapping[str, object] = raw if _is_quantity(raw) else {"value": raw}
-            operations = [{"set": [*steps, key], "to": one} for key, one in more.items()]
-            return _set(session, name, level, operations)
+            return [{"set": [*steps, key], "to": one} for key, one in more.items()]
     if is_empty:
-        operations = [{"remove": steps}] if is_there else []
-        return _set(session, name, level, operations)
+        return [{"remove": steps}] if is_there else []
     was = there.get("parameters", {}).get(own) if block else entry.get("default") if section == "inputs" else entry
     raw = _value(text, name, type_, fact, was)
     if isinstance(text, str) and _is_quantity(raw) and (block or steps[0] == "inputs"):
         known_fact = fact()
         if known_fact is not None and raw["unit"] == known_fact.unit:
             raw = raw["value"]  # a bare number is meant in it
-    return _set(session, name, level, [{"set": steps, "to": raw}])
+    return [{"set": steps, "to": raw}]
 
 
 def _value(
@@ -485,9 +500,10 @@ def _with_unit(raw: object, unit: str | None) -> object:
     return raw if unit is None or not is_number(raw) else {"value": raw, "unit": unit}
 
 
-def _set(session: Session, name: str, level: str, operations: Operations) -> Answer:
-    """Write a value, which counts in place of what was set in the session."""
-    told = _done(session, f"set {name}", [_in(level, one) for one in operations], put=f"{level}.{name}".lstrip("."))
+def _set(session: Session, paths: list[str], operations: Operations) -> Answer:
+    """Write values, which count in place of what was set in the session."""
+    what = ", ".join(".".join(path.split(".")[-2:]) for path in paths[:3])
+    told = _done(session, f"set {what}", operations, put=paths)
     session.broadcast({"is": "changed"})
     return told
 

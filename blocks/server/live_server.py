@@ -78,7 +78,7 @@ class LiveServer:
         from ..api.case import Case
 
         # The modules of the messages that pages may send are here for what they declare.
-        from . import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401
+        from . import analysis_messages, gestures, knobs, map_messages, panel, scope_messages  # noqa: F401
         from .editor import Editor
         from .open_document import Document
         from .session import Session

@@ -74,6 +74,7 @@ class Session:
         self.begun: dict[int, dict[str, Any]] = {}
         self.chosen: dict[str, str] = {}
         self.pages: dict[Client, Page] = {}
+        self.maps: dict[str, tuple[int, Any]] = {}  # the last map of a loop, by what it was asked for
         self.hearers: list[Callable[[], None]] = []
         self.number = 0
         self._todo: queue.SimpleQueue[tuple[Client | None, Any]] = queue.SimpleQueue()

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from blocks import BlocksError, Case, Diagram, Gain, ModelError, UsageError
-from blocks.server import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
+from blocks.server import analysis_messages, gestures, knobs, map_messages, panel, scope_messages  # noqa: F401  # their messages
 from blocks.server.editor import Editor
 from blocks.server.messages import HANDLERS, answer
 from blocks.server.open_document import Document
@@ -64,6 +64,11 @@ TABLE: dict[str, list[Row]] = {
     "response": [({"input": "nothing"}, "nothing"), ({"input": "u", "output": "nothing"}, "nothing")],
     "modes": [({"amplitude": {"nothing": 1.0}}, "nothing"), ({"at": "end"}, "end"), ({"at": 1e9}, "no run")],
     "cycles": [],
+    "loop_map": [
+        ({}, "no block with an output u"),
+        ({"control": "gain.y", "output": "gain.y", "over": {"gain.k": []}}, "names 1 parameters"),
+        ({"control": "gain.y", "output": "gain.y", "over": {"gain.k": [], "nothing": []}}, "nothing"),
+    ],
     "color": [({"by": "__class__"}, "__class__")],
     "band": [
         *(({"signal": "gain.y", "file": path}, OUTSIDE) for path in PLACES if path),
@@ -83,6 +88,7 @@ TABLE: dict[str, list[Row]] = {
     "paste": [({"text": "{}"}, SHOWN)],
     "duplicate": [({"names": ["gain"]}, SHOWN)],
     "put": [({"name": "gain.k", "text": "1"}, SHOWN)],
+    "put_all": [({"values": {"gain.k": "1"}}, SHOWN)],
     "define": [({"kind": "input", "text": "r"}, SHOWN)],
     "describe": [({"of": "gain", "text": "x"}, SHOWN)],
     "targets": [({"end": "gain.y"}, SHOWN)],

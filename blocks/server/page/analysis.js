@@ -1,5 +1,6 @@
 /** Looking deeper: loops and their margins, responses, modes, limit cycles, bands of sweeps; blocks colored by rate. */
 import { element, fault, shown, table } from "./elements.js";
+import { mapOf } from "./map.js";
 
 const AT = { at: ["Where it is linearized", [["start", "at the start"], ["cursor", "at the cursor"], ["rest", "where it rests"]]] };
 /** By view: its name, what the server is asked, its fields with their labels, those that must be filled, and what it needs. */
@@ -8,6 +9,8 @@ const VIEWS = {
     hint: "Click a wire of a loop, or name its signal: the loop is opened there." },
   response: { label: "Response", ask: "response", fields: { input: ["from", "signals"], output: ["to", "signals"], ...AT }, must: ["input", "output"],
     hint: "Name the signal where a change is put in, and the one that is looked at." },
+  map: { label: "Map", ask: "loop_map", must: [], hint: "Computing ...",
+    fields: { control: ["loop at", "signals"], output: ["of", "signals"], x: ["over", "gains"], x0: ["from", "number"], x1: ["to", "number"], y: ["and", "gains"], y0: ["from", "number"], y1: ["to", "number"] } },
   modes: { label: "Modes", ask: "modes", fields: AT, must: [] },
   cycles: { label: "Limit cycles", ask: "cycles", fields: { at: [AT.at[0], AT.at[1].toReversed()] }, must: [] },
   band: { label: "Band", ask: "band", must: ["signal"],
@@ -22,7 +25,7 @@ export function start(app) {
   const place = document.getElementById("analysis");
   let [what, cursor] = ["loop", null];
   const amplitudes = new Map(); // by the signal of a law
-  const lists = { signals: element("datalist", { id: "analysis-signals" }), parameters: element("datalist", { id: "analysis-parameters" }) };
+  const lists = { signals: element("datalist", { id: "analysis-signals" }), parameters: element("datalist", { id: "analysis-parameters" }), gains: element("datalist", { id: "analysis-gains" }) };
   const body = element("div", { class: "analysis-body", "aria-busy": "false" });
 
   // --- a form for each view ---
@@ -43,8 +46,10 @@ export function start(app) {
   const cancel = element("button", { hidden: true, onclick: () => app.connection.cancel(under) }, "Cancel");
   place.append(element("header", { class: "bar" }, element("h2", {}, "Analysis"), element("span", { class: "tabs", role: "group", "aria-label": "What is shown" }, ...tabs), ...Object.values(forms), cancel, close), body, ...Object.values(lists));
 
+  const map = mapOf(app, forms.map, () => ask());
   const isAtCursor = () => forms[what].elements.at?.value === "cursor";
   function given() {
+    if (what === "map") return { ...map.given(), amplitude: Object.fromEntries(amplitudes) };
     const fields = Object.fromEntries([...forms[what].elements].filter((one) => one.value && one.name).map((one) => [one.name, one.type === "number" ? one.valueAsNumber : one.value]));
     if (VIEWS[what].must.some((name) => !(name in fields))) return null;
     if (isAtCursor()) fields.at = cursor ?? (app.state.run?.id ? app.state.run.t : "start");
@@ -54,11 +59,11 @@ export function start(app) {
   // --- asking: one question at a time, and the last one counts ---
   let [isAsked, next, under] = [false, null, null];
   async function ask() {
-    if (place.hidden) return;
+    if (place.hidden || (what === "map" && map.isHeld)) return;
     const fields = given();
     next = fields && { view: what, fields };
     if (!fields || what === "band") body.replaceChildren(element("p", { class: "hint" }, fields ? "Running ..." : VIEWS[what].hint));
-    if (isAsked) return;
+    if (isAsked) return void (what === "map" && app.connection.cancel(under));
     isAsked = true;
     body.setAttribute("aria-busy", "true");
     while (next) {
@@ -109,7 +114,12 @@ export function start(app) {
     at.oninput();
     return element("p", { class: "law" }, at, words);
   }
-  function fill({ title, laws, faults, figures = [], curve, head = [], rows = [], notes = [], more = [], band }) {
+  function fill(answer) {
+    const { title, laws, faults, figures = [], curve, head = [], rows = [], notes = [], more = [], band } = answer;
+    if (answer.map) {
+      map.show(answer);
+      options(lists.gains, answer.map.names);
+    }
     const key = laws.map((law) => law.signal).join();
     let sliders = body.querySelector(".laws"); // which stay as they are while one is moved
     if (sliders?.dataset.key !== key) sliders = element("div", { class: "laws", "data-key": key }, ...laws.slice(0, 8).map(slider));
@@ -123,7 +133,8 @@ export function start(app) {
       element("p", {}, title), ...faults.map(fault), rows.length ? table(head, cells) : null, curve ? reading(curve) : null,
       ...notes.map((note) => element("p", { class: "hint" }, note)),
       more.length ? element("details", {}, element("summary", {}, "Poles, zeros and blocks"), element("pre", {}, more.join("\n"))) : null);
-    const result = element("div", { class: "result" }, ...pictures, numbers);
+    if (answer.map && map.root.isConnected && sliders.isConnected) return body.querySelector(".numbers").replaceWith(numbers); // it keeps the focus and the pointer
+    const result = element("div", { class: "result" }, ...(answer.map ? [map.root] : pictures), numbers);
     if (sliders.isConnected) body.querySelector(".result").replaceWith(result);
     else body.replaceChildren(sliders, result);
     if (band) {
@@ -153,7 +164,7 @@ export function start(app) {
     turn(what);
     tabs.find((tab) => tab.dataset.what === what).focus();
   }
-  const opener = element("button", { title: "Bode, Nyquist, margins, modes, limit cycles, bands (B)", "aria-expanded": "false", "aria-controls": "analysis", onclick: () => show(place.hidden) }, "Analysis");
+  const opener = element("button", { title: "Bode, Nyquist, margins, maps, modes, limit cycles, bands (B)", "aria-expanded": "false", "aria-controls": "analysis", onclick: () => show(place.hidden) }, "Analysis");
   app.keys?.push(["B", "analysis of the selected wire: Bode, Nyquist, margins; again: close"]);
   document.addEventListener("keydown", (event) => {
     if (event.key.toLowerCase() !== "b" || event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, textarea, select, dialog")) return;

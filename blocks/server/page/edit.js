@@ -357,9 +357,9 @@ export function start(app) {
     app.drawing.view.onkeydown(event);
   }, true);
   document.addEventListener("keydown", (event) => {
-    if (bar.hidden || event.defaultPrevented || event.target.closest("input:not([type=range]), textarea, select, dialog, #scopes, #analysis")) return;
+    if (bar.hidden || event.defaultPrevented || event.target.closest("input:not([type=range]), textarea, select, dialog")) return;
     const name = shortcuts(event);
-    if (!name) return;
+    if (!name || (event.target.closest("#scopes, #analysis") && !["undo", "redo"].includes(name))) return;
     event.preventDefault();
     if (name === "saved") app.announce((refusal.textContent = `All is written in ${app.state.document.file} already.`));
     else if (commands[name].can()) commands[name].go();
@@ -394,6 +394,16 @@ export function start(app) {
     } catch (error) {
       made.refuse(error.faults?.map(({ code, message, cure }) => `${code} ${message} ${cure}`).join(" ") ?? error.message);
       return false;
+    }
+  }
+  /** Write several, as [path, value], as one step. refused: what shows what is refused of a path. */
+  async function putAll(values, refused) {
+    try {
+      const { later } = await app.connection.ask("put_all", { values: Object.fromEntries(values.map(([path, value]) => [path, String(value)])) });
+      values.forEach(([path]) => refused(path).refuse());
+      app.announce(`${values.map(([path, value]) => `${path} is ${value}`).join(", ")}${later ? `. Not in this run: ${later}` : ""}`);
+    } catch (error) {
+      refused(values[0][0]).refuse(error.message);
     }
   }
   const fields = new Map();
@@ -508,7 +518,7 @@ export function start(app) {
     list();
     app.drawing.view.append(hint);
     if (document.activeElement === document.body) app.drawing.view.focus();
-    Object.assign(app, { key, put, field, more, forms, remedy, signal, entry, many: () => [...picked], chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
+    Object.assign(app, { key, put, putAll, field, more, forms, remedy, signal, entry, many: () => [...picked], chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
     for (const one of app.keys) one[0] = one[0].replace(/^[a-z](?= |$)/i, (letter) => `Shift+${letter.toUpperCase()}`); // letters insert
     for (const { keys, what } of Object.values(commands)) if (keys) app.keys.push([keys, what]);
     app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected; without a selection, the drawing"], ["Enter", "to the values of the selected block; Escape leads back; of a selected wire: its scope"]);

@@ -41,6 +41,11 @@ export function start(app) {
       return false;
     }
   }
+  /** Turn several, as [name, value], at once; isLast: where they are edited, write them as one step. refused: what shows a name. */
+  app.turnAll = (values, refused, isLast) => {
+    if (isLast && app.putAll) return values.forEach(([name]) => waiting.delete(name)), app.putAll(values, refused);
+    values.forEach(([name, value]) => turn(name, value, refused(name)));
+  };
   let [isLooking, isAgain] = [false, false];
   /** Ask for all that is shown; one question at a time, and not too many. */
   async function look() {
