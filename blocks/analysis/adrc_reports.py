@@ -160,7 +160,8 @@ def _law_of(graph: Interconnection, block: str) -> tuple[list[int], str]:
     if len(columns) > 1:
         names = ", ".join(graph.node_name(node) for node in laws)
         message = f"has laws of several signals ({names}), which need more than one amplitude."
-        raise AnalysisError(Fault("E704", block, message, "Use linearize with an amplitude for each."))
+        cure = f'Linearize it where its inputs stand: diagram.linearize("{block}.y", "{block}.z1").'
+        raise AnalysisError(Fault("E704", block, message, cure))
     read = [slot for node in laws for slot in nonlinear(graph, node)]
     return list(laws), graph.slot_name(read[0]) if read else ""
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -28,6 +29,7 @@ from ..linear.slopes import read_at
 from ..linear.stacked import Stack, stacked
 from ..linear.transfer import Transfer
 from ..model.resolver import resolver_of
+from ..model.values import in_si
 from ..results.plots import Look
 from ..text.arrays import Array
 from ..text.atomic_write import write_atomically
@@ -116,18 +118,26 @@ class LoopMap(Shown):
         place = tuple(int(np.abs(values - point[name]).argmin()) for name, values in order)[::-1]
         return {name: float(values[place]) for name, values in self.measures.items()}
 
-    def plot(self, *measures: str, limits: Limits | None = None, **look: Unpack[Look]) -> Figure:
+    def plot(
+        self, *measures: str, limits: Limits | None = None, best: str | None = None, **look: Unpack[Look]
+    ) -> Figure:
         """Draw measures as contours over both parameters, or as curves over one.
 
         limits: the region where all lie within (least, most) stays clear, the rest is shaded. The present point is a
-        cross. Raises UsageError (E501).
+        cross. best: a measure; a star marks the point within the limits where it is least, if there is one. Raises
+        UsageError (E501).
         """
         from .map_figure import drawn
 
         names = measures or tuple(name for name in _SHOWN if name in self.measures)
         for name in names:
             self._measure(name)
-        return drawn(self, names, None if limits is None else self.slack(limits), MEASURES, look)
+        least: dict[str, list[float]] = {}
+        if best is not None:
+            with suppress(AnalysisError):
+                where = f"least {best}" + " within the limits" * bool(limits)
+                least[where] = [*self.best(best, **(limits or {})).values()]
+        return drawn(self, names, None if limits is None else self.slack(limits), MEASURES, least, look)
 
     def as_json(self) -> dict[str, Any]:
         """The map as JSON data: the values of the parameters, and tables of measures with null for no number."""
@@ -188,12 +198,12 @@ def loop_map(
     """The margins and peaks of `loop_report` over one or two parameters: bandwidths, b0, a gain of the plant.
 
     over: by parameter, (lowest, highest), between which `points` values lie by equal factors (by equal steps from 0 or
-    below on), or a list of more values, in the declared unit. control: the signal at which the loop is opened; output:
-    what is controlled. measurement: where noise enters; without it, `output` as all see it. disturbance: an input of
-    the diagram or a signal; without it, what is added to the control. frequency: in rad/s, for the measure
-    `at_frequency`. pade: the order of models of exact delays. at: a time in s, for the operating point of each point of
-    the map. check: called at each point; the map ends with whatever it raises. The others are as of
-    `Diagram.linearizer`.
+    below on), or a list of more values, in the declared unit, or quantities such as "10 rad/s". control: the signal at
+    which the loop is opened; output: what is controlled. measurement: where noise enters; without it, `output` as all
+    see it. disturbance: an input of the diagram or a signal; without it, what is added to the control. frequency: in
+    rad/s, for the measure `at_frequency`. pade: the order of models of exact delays. at: a time in s, for the operating
+    point of each point of the map. check: called at each point; the map ends with whatever it raises. The others are as
+    of `Diagram.linearizer`.
 
     The matrices of continuous loops are computed all at once, those of sampled loops one by one. Margins are nan where
     the closed loop is not stable, and where there is none, as behind a saturation at its limit.
@@ -203,17 +213,19 @@ def loop_map(
     if at is not None and not isinstance(at, (int, float)):
         raise UsageError(Fault("E501", "at", "must be a time in s: each point of a map has its own operating point."))
     _check(over, frequency, control=control, output=output, measurement=measurement, disturbance=disturbance)
-    names, values = tuple(over), tuple(_axis(name, given, points) for name, given in over.items())
+    names = tuple(over)
     if not 1 <= len(names) <= 2:
         raise UsageError(Fault("E501", "over", f"names {len(names)} parameters.", "Give one or two."))
+    case = Case() if case is None else case
+    case = case.updated(**words) if words else case
+    present, units = _present(diagram, case, names)
+    values = tuple(_axis(name, over[name], points, unit) for name, unit in zip(names, units, strict=True))
     count = math.prod(map(len, values))
     if count > _MOST:
         raise UsageError(Fault("E501", "over", f"asks for {count} points.", f"Give {_MOST} at most."))
     measured, enters = measurement or output, disturbance or control
     ends = list(dict.fromkeys((control, enters, measured))), list(dict.fromkeys((control, output)))
     point: dict[str, Any] = {"at": at, "amplitude": amplitude, "sigma": sigma}
-    case = Case() if case is None else case
-    case = case.updated(**words) if words else case
     each = [dict(zip(names, row, strict=True)) for row in _rows(values)]
     check = check or (lambda: None)
     given = diagram, case, each, ends, pade, point, check
@@ -222,7 +234,6 @@ def loop_map(
     if not np.isfinite(found["Ms"]).any():  # it may be in no loop, or behind a law that passes nothing on
         check_loop(_at(diagram, case, each[0], point).exact_loop([control], pade=pade), control)
     shape = tuple(len(each) for each in reversed(values))
-    present, units = _present(diagram, case, names)
     return LoopMap(
         diagram.name, control, output, names, units, values,
         {name: numbers.reshape(shape) for name, numbers in found.items()}, present, frequency,
@@ -250,10 +261,12 @@ def _rows(values: tuple[Array, ...]) -> Iterator[tuple[float, ...]]:
         yield row[::-1]
 
 
-def _axis(name: str, given: object, points: int) -> Array:
+def _axis(name: str, given: Any, points: int, unit: str) -> Array:
     if isinstance(points, bool) or not isinstance(points, int) or points < 2:
         raise UsageError(Fault("E501", "points", f"must be a whole number from 2 on, not {points!r}."))
     try:
+        if isinstance(given, (list, tuple)) and any(isinstance(item, (str, Mapping)) for item in given):
+            given = [from_si(in_si(item, unit, f"over {name}"), unit) for item in given]
         values = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
         values = np.zeros(0)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from ..results.figure import Figure
 
-_LEVELS = 8
+_LEVELS, _PRESENT = 8, "present values"
 _LARGE = 20.0
 """The ratio from which on values are drawn by equal factors."""
 
@@ -38,8 +38,13 @@ class Mapped(Protocol):
 
 
 @defaults()
-def drawn(found: Mapped, names: Sequence[str], slack: Array | None, titles: Mapping[str, str], look: Look) -> Figure:
-    """Return the figure of some measures. slack: at least 0 in the region that stays clear."""
+def drawn(
+    found: Mapped, names: Sequence[str], slack: Array | None, titles: Mapping[str, str],
+    stars: Mapping[str, Sequence[float]], look: Look,
+) -> Figure:  # fmt: skip
+    """Return the figure of some measures. slack: at least 0 in the region that stays clear. stars: points by name."""
+    from matplotlib.patches import Patch
+
     is_plane = len(found.parameters) == 2
     columns = min(2, len(names)) if is_plane else 1
     rows = math.ceil(len(names) / columns)
@@ -59,8 +64,20 @@ def drawn(found: Mapped, names: Sequence[str], slack: Array | None, titles: Mapp
                 axis.set_ylabel(labels[1])
         else:
             _curve(axis, found, found.measures[name], slack)
+        for label, at in stars.items():
+            if is_plane:
+                axis.plot(at[:1], at[1:], "*", color=STYLES[2][0], markersize=10, clip_on=False, label=label)
+            else:
+                axis.axvline(at[0], color=STYLES[2][0], linewidth=1.4, linestyle=":", label=label)
         if k + columns >= len(names):
             axis.set_xlabel(labels[0])
+    shown, _ = flat[0].get_legend_handles_labels()
+    if slack is not None and slack.min() < 0:
+        shown.append(Patch(facecolor="#94a3b8", alpha=0.45, label="outside the limits"))
+    if is_plane and 0 < np.isnan(found.measures["Ms"]).sum() < found.measures["Ms"].size:
+        shown.append(Patch(facecolor="none", edgecolor=FAINT, hatch="////", label="not stable"))
+    if shown:
+        figure.legend(handles=shown, loc="outside lower center", ncols=4, fontsize=SMALL, frameon=False, labelcolor=INK)
     return finished(figure, look=look)
 
 
@@ -87,7 +104,7 @@ def _plane(axis: Axes, found: Mapped, values: Array, slack: Array | None) -> Non
     _hatched(axis, x, y, found.measures["Ms"])
     at = found.present
     if x[0] <= at[0] <= x[-1] and y[0] <= at[1] <= y[-1]:
-        axis.plot([at[0]], [at[1]], "x", color=STYLES[0][0], markersize=7, markeredgewidth=1.8)
+        axis.plot(at[:1], at[1:], "x", color=STYLES[0][0], markersize=7, markeredgewidth=1.8, label=_PRESENT)
     axis.set_xlim(x[0], x[-1])
     axis.set_ylim(y[0], y[-1])
 
@@ -135,5 +152,5 @@ def _curve(axis: Axes, found: Mapped, values: Array, slack: Array | None) -> Non
         outside, span = (slack < 0).tolist(), axis.get_xaxis_transform()
         axis.fill_between(x, 0, 1, where=outside, transform=span, color=FAINT, alpha=0.3, linewidth=0)
     if x[0] <= found.present[0] <= x[-1]:
-        axis.axvline(found.present[0], color=STYLES[0][0], linewidth=1.0, linestyle="--")
+        axis.axvline(found.present[0], color=STYLES[0][0], linewidth=1.0, linestyle="--", label=_PRESENT)
     axis.set_xlim(x[0], x[-1])

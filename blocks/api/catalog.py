@@ -75,6 +75,10 @@ class Catalog:
 
             return sheet_of(fmu_type(name))
         if name not in self.types:
+            if name == "ADRC":
+                message = "is a function that makes a diagram, and not a block type."
+                cure = "See help(blocks.ADRC) in Python. `blocks new FILE --adrc` writes the diagram."
+                raise UsageError(Fault("E103", name, message, cure))
             near = did_you_mean(name[:200], (*self.types, *self.groups(), *words()))
             cure = f"{near} `blocks list --search WORD` searches the descriptions, `blocks list` shows all types."
             raise UsageError(Fault("E103", legible(name), "there is no such block type.", cure))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -186,37 +187,38 @@ def _map(options: argparse.Namespace) -> int:
         failure = error
     allowed = int(found.feasible(**limits).sum())
     if options.json:
-        emit({**found.as_json(), "allowed": allowed, **({"best": best} if best else {})})
+        there = {name: x if math.isfinite(x) else None for name, x in found.at(best).items()} if best else {}
+        emit({**found.as_json(), "allowed": allowed, **({"best": best, "there": there} if best else {})})
     else:
         print(printable(repr(found)))
         if limits:
             print(printable(f"  within {', '.join(options.limit)}: {allowed} points"))
         if best:
             print(printable(f"  least {options.best}: " + ", ".join(f"{name} = {x:.6g}" for name, x in best.items())))
+            print("  there: " + ", ".join(f"{name} = {x:.4g}" for name, x in found.at(best).items()))
     if options.out:
         found.to_csv(options.out)
         say(f"table in {options.out}")
     if options.plot:
-        plots.save(found.plot(limits=limits or None, **look), options.plot)
+        plots.save(found.plot(limits=limits or None, best=options.best, **look), options.plot)
         say(f"figure in {options.plot}")
     if failure is not None:
         raise failure
     return 0
 
 
-def _ranges(items: Sequence[str]) -> dict[str, list[float]]:
-    ranges: dict[str, list[float]] = {}
+def _ranges(items: Sequence[str]) -> dict[str, list[Any]]:
+    ranges: dict[str, list[Any]] = {}
     if not items:
         raise UsageError(Fault("E501", "--over", "is missing.", "Example: --over control.omega_c=1,30."))
     for item in items:
         name, _, text = item.partition("=")
         if name.strip() in ranges:
             raise UsageError(Fault("E501", f"--over {item}", "gives this parameter a second time."))
-        try:
-            ranges[name.strip()] = [float(number) for number in text.split(",")]
-        except ValueError:
+        ranges[name.strip()] = values = [value_in(number) for number in text.split(",")]
+        if any(isinstance(value, (str, bool, list)) for value in values):
             cure = "Example: --over control.omega_c=1,30."
-            raise UsageError(Fault("E501", f"--over {item}", "is not NAME=LOW,HIGH.", cure)) from None
+            raise UsageError(Fault("E501", f"--over {item}", "is not NAME=LOW,HIGH.", cure))
     return ranges
 
 

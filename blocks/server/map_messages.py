@@ -80,12 +80,8 @@ def loop_map(
     title = f"Loop opened at {control}, of {output}. {where}"
     told = analyzed(linearizer, title, made, laws_of(linearizer, [control], [control], [control]), refused)
     measures = [[name, text, name in AT_LEAST] for name, text in MEASURES.items() if name != "at_frequency"]
-    return told | {
-        "map": {
-            "control": control, "output": output, "over": ranges, "names": axes, "present": [*present.values()],
-            "measures": measures,
-        },
-    }  # fmt: skip
+    chosen = {"control": control, "output": output, "over": ranges, "names": axes, "present": [*present.values()]}
+    return told | {"map": chosen | {"measures": measures}}
 
 
 def _known(

@@ -11,7 +11,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import LESO, SMESO, Constant, Diagram, DiscreteESO
+from blocks import LESO, SMESO, Constant, Diagram, DiscreteESO, ScheduledESO
 from blocks.analysis import loop_report, observer_report
 from blocks.cli import main
 from blocks.frequency.margins import IN_JSON
@@ -336,3 +336,12 @@ def test_a_report_of_a_smeso_of_another_order_has_its_own_estimates() -> None:
     made = observer_report(Diagram.alone(SMESO(order=1, gains=[10.0, 25.0])), "SMESO", amplitudes=[1.0])
     assert "bandwidth_f_z2" in made.as_json()["observer"][0]
     assert "f -> z2" in str(made)
+
+
+def test_the_cure_for_laws_of_several_signals_is_a_call_that_works() -> None:
+    made = Diagram.alone(ScheduledESO(order=2, b0=1.0))
+    with pytest.raises(AnalysisError) as refused:
+        observer_report(made, "ScheduledESO")
+    assert 'diagram.linearize("ScheduledESO.y", "ScheduledESO.z1")' in str(refused.value)
+    model = made.linearize("ScheduledESO.y", "ScheduledESO.z1", inputs={"bandwidth": 20.0})
+    assert np.linalg.eigvals(model.A) == pytest.approx(-20.0, rel=1e-3)

@@ -251,6 +251,7 @@ def test_the_command_prints_writes_and_draws(tmp_path: Path, capsys: pytest.Capt
     out = capsys.readouterr().out
     assert "within Ms<1.6:" in out
     assert "least disturbance: control.omega_c = " in out
+    assert "  there: gain = " in out
     assert (tmp_path / "m.svg").read_text().startswith("<?xml")
     assert len((tmp_path / "m.csv").read_text().splitlines()) == 26
     assert main([*command, *over, "--limit", "Ms<1.01", "--best", "noise", "-o", str(tmp_path / "none.csv")]) != 0
@@ -431,3 +432,42 @@ def test_a_signal_that_does_not_come_back_at_any_point_has_no_map(control: str, 
         loop_map(d, control, "plant.y", over={"control.omega_c": (5.0, 30.0)}, points=3)
     assert refused.value.code == "E705"
     assert said in str(refused.value)
+
+
+def test_ranges_may_be_quantities_and_a_point_has_its_measures() -> None:
+    d = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0))
+    plain = loop_map(d, "control.u", "plant.y", over=OVER, points=4)
+    turns = f"{60.0 * 30.0 / (2 * math.pi):.17g} rpm"
+    given = {"control.omega_c": ("1 rad/s", turns), "control.omega_o": [5.0, {"value": 300, "unit": "rad/s"}]}
+    found = loop_map(d, "control.u", "plant.y", over=given, points=4)
+    for own, other in zip(found.values, plain.values, strict=True):
+        assert own == pytest.approx(other)
+    with pytest.raises(UsageError, match="over control"):
+        loop_map(d, "control.u", "plant.y", over={"control.omega_c": ("1 V", "2 V")}, points=4)
+    best = plain.best("disturbance", Ms=(None, 1.6))
+    known = loop_report(d, "control.u", "plant.y", parameters=best)
+    assert plain.at(best)["Ms"] == pytest.approx(known.margins.Ms)
+    assert plain.at(best)["noise"] == pytest.approx(known.peak_noise[0], rel=1e-6)
+
+
+def test_the_figure_names_its_marks() -> None:
+    d = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0))
+    found = loop_map(d, "control.u", "plant.y", over=OVER, points=8)
+    figure = found.plot("Ms", limits={"Ms": (None, 1.5)}, best="disturbance")
+    (legend,) = figure.legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["present values", "least disturbance within the limits", "outside the limits"]
+    best = found.best("disturbance", Ms=(None, 1.5))
+    (star,) = [line for line in figure.axes[0].lines if line.get_marker() == "*"]
+    assert (star.get_xdata()[0], star.get_ydata()[0]) == tuple(best.values())
+    none = found.plot("Ms", limits={"Ms": (None, 1.0)}, best="disturbance")  # no point is within the limits
+    assert "least" not in str([text.get_text() for text in none.legends[0].get_texts()])
+    with pytest.raises(UsageError, match="Did you mean 'Ms'"):
+        found.plot("Ms", best="Msx")
+
+
+def test_what_is_small_beside_the_largest_response_may_differ_by_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
+    d = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0, lower=-8.0, upper=8.0))
+    monkeypatch.setattr(own_module, "_one_by_one", None)
+    over = {"control.omega_c": (0.8, 20.0), "control.omega_o": (4.0, 100.0)}
+    assert np.isfinite(loop_map(d, "control.u", "plant.y", over=over, points=40, pade=5).measures["Ms"]).all()

@@ -292,6 +292,13 @@ def test_check_shows_an_algebraic_loop_edge_by_edge(tmp_path: Path, capsys: pyte
     assert "sum.y -> gain.y -> sum.y" in out or "gain.y -> sum.y -> gain.y" in out
 
 
+def test_list_says_that_adrc_is_a_function(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "ADRC"]) == 2
+    told = capsys.readouterr().err
+    assert "is a function that makes a diagram" in told
+    assert "`blocks new FILE --adrc`" in told
+
+
 def test_list_names_every_block_and_tells_about_one(capsys: pytest.CaptureFixture[str]) -> None:
     from blocks.library import LIBRARY
 
