@@ -57,7 +57,8 @@ def loop_map(
             message = "is not a single number that can be set."
             raise UsageError(Fault("E502", legible(name[:200]), message, did_you_mean(name[:200], axes)))
     present = knobs_of(session, names)
-    ranges = {name: (over or {}).get(name) or _around(session, present[name]) for name in names}
+    given = {name: [float(end) for end in ends] for name, ends in (over or {}).items()}
+    ranges = {name: given.get(name) or _around(session, present[name]) for name in names}
     linearizer, where, refused = linearized(session, "start", amplitude)
 
     def made() -> dict[str, Any]:

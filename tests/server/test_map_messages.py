@@ -79,7 +79,8 @@ def test_the_points_of_a_map_are_what_single_reports_of_the_loop_say(asking: Any
     assert told["best"]["at"] == [tables[name][k][i] for name in names]
     # The same map is known; the page has its tables. Another value of the loop makes it another map.
     session.values[C] = 5.0
-    again = ask("loop_map", over=chosen["over"], control="control.u", output="plant.y", have=told["number"])
+    as_typed = {C: [0.8, 20], O: [4, 100]}
+    again = ask("loop_map", over=as_typed, control="control.u", output="plant.y", have=told["number"])
     assert "tables" not in again
     assert [one["value"] for one in again["map"]["present"]] == [5.0, 20.0]
     session.values["control.b0"] = 3.0
@@ -217,10 +218,11 @@ def test_the_cross_is_dragged_during_a_run_the_scope_answers_and_one_undo_takes_
         assert (tmp_path / "loop.json").read_bytes() == before
         page.until(f"(now => Math.hypot(now[0] - {was[0]}, now[1] - {was[1]}) < 1)({CROSS})")
         assert {each.name: each.value["value"] for each in live.turned[-2:]} == {C: 4.0, O: 20.0}
-        # An arrow key moves it too, as one step however often it is pressed.
+        # An arrow key moves it too, and only the parameter along its axis.
         page.evaluate("document.querySelector('#analysis .cross').focus()")
         hands.done(lambda: page.press("ArrowRight"))
-        assert live.turned[-1].name in (C, O)
+        assert live.turned[-1].name == C
+        assert hands.editor.done[-1].what == f"set {C}"
         page.until(f"({CROSS})[0] > {was[0]} + 1")
         page.evaluate("[...document.querySelectorAll('button')].find(one => one.textContent === 'Stop').click()")
         page.until("document.getElementById('runbar').dataset.state === 'stopped'")

@@ -179,15 +179,19 @@ export function mapOf(app, form, ask) {
     if (isSeen) cross.setAttribute("transform", `translate(${axes[0].at(point[0])} ${axes[1].at(point[1])})`);
     for (const one of readings.querySelectorAll("[data-of]")) one.textContent = isStable() ? read_(between(tables[one.dataset.of], ...shares()), one.dataset.of) : "-";
     const here = ["Ms", shade, "disturbance"].filter((name, k, all) => all.indexOf(name) === k).map((name) => `${measure(name)[1]} ${readings.querySelector(`[data-of="${name}"]`)?.textContent ?? ""}`);
+    if (isSeen) cross.setAttribute("aria-valuenow", shown(100 * shares()[0], 3));
     cross.setAttribute("aria-valuetext", [words.textContent, ...(isSeen ? here : [])].join(", "));
   }
 
   // --- the cross ---
-  /** Set both parameters, at once in a run; isLast: where they are edited, write them as one step. */
+  const moved = new Set(); // parameters, since the cross was taken
+  /** Set what moved, at once in a run; isLast: where it is edited, write it as one step. */
   function move(to, isLast) {
+    told.map.present.forEach(({ name }, k) => to[k] !== point[k] && moved.add(name));
     point = to;
     read();
-    app.turnAll(told.map.present.map(({ name }, k) => [name, point[k]]), refused, isLast);
+    app.turnAll(told.map.present.map(({ name }, k) => [name, point[k]]).filter(([name]) => moved.has(name)), refused, isLast);
+    if (isLast) moved.clear();
   }
   const known = new Map(); // what is refused, by parameter
   const refused = (name) => ({ refuse(...text) {
