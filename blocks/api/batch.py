@@ -167,6 +167,7 @@ class Batch(Shown):
         self._most = PIECE // (8 * max(1, numbers)) + 1  # rows that are bound at once
         self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last
         self._fixed: list[str] | None = None  # the parameters that do
+        self._first: Prepared | None = first  # until rows run, which keep forms of their own
         self._workers: list[Worker] = []  # processes that wait for rows
         rest = case.without("log", "jumps", "variants", "measures", "parameters").updated(parameters=parameters)
         self._whole = PreparedModel(value, types, rest.updated(every=settings.get("every")))
@@ -183,7 +184,7 @@ class Batch(Shown):
         yield f"  measures: {', '.join(self.measures) or 'none'}; signals: {', '.join(self.signals) or 'none'}"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_forms": {}, "_workers": [], "_fixed": None}
+        return {**vars(self), "_forms": {}, "_workers": [], "_fixed": None, "_first": None}
 
     @property
     def nominal(self) -> tuple[float, ...]:
@@ -213,6 +214,7 @@ class Batch(Shown):
         """
         check_words(words, CallWords)
         seeds, threads, max_steps = words.get("seeds"), words.get("threads"), words.get("max_steps")
+        self._first = None
         rows, numbers = rows_of(self.columns, table)
         _check_count("threads", threads)
         _check_count("max_steps", max_steps)
@@ -258,22 +260,23 @@ class Batch(Shown):
         for i in left.tolist():
             if self._fixed is not None:
                 break
-            self._find_fixed(given[i])
+            self._find_fixed(given[i], i, made)
         found: dict[str, list[int]] = {}
         for i in left.tolist() if self._fixed else ():
             raw = given[i]
             found.setdefault(repr([raw.get(name) for name in self._fixed or ()]), []).append(i)
         return {key: np.array(rows) for key, rows in found.items()} if self._fixed else {"": left}
 
-    def _find_fixed(self, given: Mapping[str, object]) -> None:
+    def _find_fixed(self, given: Mapping[str, object], i: int, made: _Made) -> None:
         """Find the parameters that fix more than numbers, by a row that is not refused."""
         try:
-            first = self._flattened(given, None)
+            first = self._flattened(given, made.seed(i))
         except BlocksError:
             return
         names = sorted({path for paths in self.targets for path in paths})
-        is_whole = first.rebinding(names).is_possible
-        self._fixed = [] if is_whole else [name for name in names if not first.rebinding([name]).is_possible]
+        whole = first.rebinding(names)
+        self._fixed = [] if whole.is_possible else [n for n in names if not first.rebinding([n]).is_possible]
+        made.known = {i: (first, None if self._fixed else whole)}
 
     def _flattened(self, given: Mapping[str, object], seed: int | None) -> Prepared:
         settings = self._settings if seed is None else {**self._settings, "seed": seed}
@@ -333,12 +336,13 @@ class Batch(Shown):
     def _flat(self, given: _Given, i: int, made: _Made) -> _Form | None:
         """Flatten row i; return None if it is refused."""
         try:
-            return self._form(self._flattened(given[i], made.seed(i)))
+            known, rebinding = made.known.pop(i, (None, None))
+            return self._form(known or self._flattened(given[i], made.seed(i)), rebinding)
         except BlocksError as error:
             made.fail(i, "refused", error)
             return None
 
-    def _form(self, prepared: Prepared) -> _Form:
+    def _form(self, prepared: Prepared, rebinding: Rebinding | None) -> _Form:
         plan = prepared.plan
         assert isinstance(plan, Plan)
         self._check_times(plan)
@@ -346,7 +350,7 @@ class Batch(Shown):
         inputs = input_table(plan, self._case.inputs, self._case.interpolation)
         model, why = self._lanes.model(plan, self._case.engine)
         faults = (no_lanes("this row", why),) if why else ()
-        return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters), faults)
+        return _Form(prepared, rebinding or prepared.rebinding(names), model, inputs, np.array(plan.parameters), faults)
 
     def _run(self, form: _Form, places: Array, table: Array, work: _Work, threads: int | None) -> None:
         from ..engines.native.batch_threads import run_rows
@@ -418,6 +422,12 @@ class Batch(Shown):
         return np.column_stack([np.asarray(results[name])[:count].reshape(count, -1) for name in self.signals])
 
 
+def prepared_of(batch: Batch, value: DiagramValue) -> list[Prepared]:
+    """Return what a batch has prepared of this diagram, if no rows have run yet."""
+    first = batch._first
+    return [] if first is None or first.value is not value else [first]
+
+
 class _OverBudget(Exception):
     """A run has taken more steps than it may."""
 
@@ -479,6 +489,7 @@ class _Made:
         check(batch.name, n * len(self.t), width)
         self.recorded = np.full((n, len(self.t), width), np.nan)
         self.interrupted = False
+        self.known: dict[int, tuple[Prepared, Rebinding | None]] = {}  # of the row that was looked at first
 
     def seed(self, i: int) -> int | None:
         return None if self.seeds is None else self.seeds[i]

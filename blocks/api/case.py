@@ -108,6 +108,7 @@ class CallWords(TypedDict, total=False):
     progress: Callable[[int, int], None] | None
 
 
+_SETTINGS = frozenset(Settings.__annotations__)
 MERGED = ("parameters", "inputs", "variants")
 """Words whose values are mappings, which are merged by name."""
 FIXED = ("variants", "measures", "engine", "trust")
@@ -241,7 +242,7 @@ class Case:
     @property
     def settings(self) -> dict[str, Any]:
         """The settings, as the `run` of a file has them."""
-        return {word: value for word, value in self.words.items() if word in Settings.__annotations__}
+        return {word: value for word, value in self.words.items() if word in _SETTINGS}
 
     def of(self, value: DiagramValue) -> DiagramValue:
         """Return a diagram with the variants and measures of this case. Raises ModelError (E122), UsageError (E501)."""
@@ -321,13 +322,13 @@ def check_words(words: Mapping[str, object], kind: type, less: Sequence[str] = (
 def _plain(words: Mapping[str, Any]) -> dict[str, Any]:
     """Return words of its own in the form of files: ports as texts, times as quantities; None is left out."""
     given = {word: value for word, value in words.items() if value is not None}
-    settings = plain_settings({word: value for word, value in given.items() if word in Settings.__annotations__})
+    settings = plain_settings({word: value for word, value in given.items() if word in _SETTINGS})
     for word, check in _CHECKS.items():
         if word in given:
             check(word, given[word])
     if not isinstance(given.get("measures", ""), str):
         given["measures"] = tuple(given["measures"])
-    if trust := paths_of(given.pop("trust", ())):
+    if "trust" in given and (trust := paths_of(given.pop("trust"))):
         given["trust"] = trust
     owned: dict[str, Any] = _owned({**given, **settings})
     return owned
@@ -380,8 +381,13 @@ _CHECKS: Mapping[str, Callable[[str, Any], None]] = {
 }  # fmt: skip
 
 
+_UNCHANGING = (float, int, str, bool)
+
+
 def _owned(value: Any) -> Any:
     """Return a value that nobody else can change."""
+    if type(value) in _UNCHANGING:
+        return value
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, Mapping):

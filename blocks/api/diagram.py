@@ -20,7 +20,7 @@ import builtins
 import enum
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -70,6 +70,7 @@ from .ports import Handle, PortName, plain_settings, signal_names, sink_text, so
 
 if TYPE_CHECKING:
     from ..editing.diff import Differences
+    from ..engines.prepared import Prepared
     from ..engines.run.saved_state import State
     from ..export.exporter import Exported
     from ..linear.harmonic_balance import Linearizer
@@ -870,9 +871,11 @@ def _as_block(name: str, block: object) -> Any:
     return as_block(name, block)
 
 
-def run_of(diagram: Diagram, case: Case, options: RunOptions, flat: Flat | None = None) -> Run:
-    """Return a run of a diagram. flat: its flat model with this case, if it is known."""
+def run_of(
+    diagram: Diagram, case: Case, options: RunOptions, flat: Flat | None = None, likes: Iterable[Prepared] = ()
+) -> Run:
+    """Return a run of a diagram. flat: its flat model with this case, if it is known. likes: as of `started`."""
     from .run import started
 
     resolver = resolver_of(copy(diagram._draft.types))  # what is added to the diagram afterwards does not reach the run
-    return started(case.of(diagram.value), resolver, case, options, flat)
+    return started(case.of(diagram.value), resolver, case, options, flat, likes)

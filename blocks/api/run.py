@@ -76,14 +76,14 @@ class RunOptions:
 
     def check(self) -> None:
         """Raise UsageError (E501) for a value of the wrong kind."""
-        kinds = {"resume": (State, str, Path), "out": (str, Path)}
-        whats = {"resume": "a snapshot, the path of a saved one, or an operating point", "out": "the path of a file"}
-        for word, kind in kinds.items():
-            given = getattr(self, word)
-            fits = given is None or isinstance(given, kind) or (word == "resume" and _is_resting(given))
-            if not fits:
-                message = f"must be {whats[word]}, not {legible(repr(given)[:80])}."
-                raise UsageError(Fault("E501", word, message, "Leave it out, or give a path."))
+        word, given, what = "resume", self.resume, "a snapshot, the path of a saved one, or an operating point"
+        fits = given is None or isinstance(given, (State, str, Path)) or _is_resting(given)
+        if fits:
+            word, given, what = "out", self.out, "the path of a file"
+            fits = given is None or isinstance(given, (str, Path))
+        if not fits:
+            message = f"must be {what}, not {legible(repr(given)[:80])}."
+            raise UsageError(Fault("E501", word, message, "Leave it out, or give a path."))
         if self.progress is not None and not callable(self.progress):
             cure = "Example: progress=lambda t, stop: print(t)."
             raise UsageError(Fault("E501", "progress", "must be a function of the time and the stop time.", cure))
@@ -116,9 +116,11 @@ def started(
     settings: Mapping[str, object] = case.settings
     parameters = given_values(value, resolver, raw)
     part: Part | None = None
-    given_inputs = [source for source in sources(case.inputs) if source is not None and source != {}]
-    anew = {"parameters": parameters, "inputs": given_inputs}
-    found = part_to_resume(resume, options.out, anew, settings)
+    found = None
+    if resume is not None:
+        given_inputs = [source for source in sources(case.inputs) if source is not None and source != {}]
+        anew = {"parameters": parameters, "inputs": given_inputs}
+        found = part_to_resume(resume, options.out, anew, settings)
     if found is not None:
         part, out, settings = found
         options = replace(options, out=out)
@@ -529,9 +531,9 @@ class Run:
     def _between_rows(self) -> BetweenRows:
         """Return how its signals go between the rows."""
         value, resolver = self._prepared.value, self._prepared.resolver
-        silent = RunOptions(progress=lambda *_: None, notice=lambda _: None)
 
         def start(case: Case, likes: Iterable[Prepared]) -> Results:
+            silent = RunOptions(progress=lambda *_: None, notice=lambda _: None)
             return started(value, resolver, case, silent, likes=likes).finish()
 
         is_repeatable = self._is_from_start and self._origin is not None

@@ -369,8 +369,10 @@ class Plan(Shown):
     def with_values(self, parameters: tuple[float, ...], settings: RunSettings) -> Plan:
         """Return this plan with other values of p, and other times and tolerances; what was derived stays derived."""
         plan = object.__new__(Plan)
-        derived = {name: value for name, value in vars(self).items() if name not in _OF_VALUES}
-        vars(plan).update(derived, parameters=parameters, settings=settings)
+        own, read_by_all = vars(plan), {"recorded": self.recorded, "columns": self.columns}
+        own.update(vars(self), **read_by_all, parameters=parameters, settings=settings)
+        for name in _OF_VALUES & own.keys():
+            del own[name]
         return plan
 
     def tick_time(self, count: int) -> float:

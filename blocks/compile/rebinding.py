@@ -22,7 +22,7 @@ from ..model.streams import number_of
 from ..model.values import expressions_in, names_in, value_of
 from ..text.arrays import Array
 from ..text.errors import ModelError
-from ..text.units import to_si
+from ..text.units import to_si, to_si_each
 from .bindings import Given, bindings_of
 from .plan import Plan
 from .setting_programs import Setting, evaluated, evaluated_each, numbers, put
@@ -151,8 +151,8 @@ class Rebinding:
         s: list[Any] = self.numbers.copy()  # arrays (n,) in the place of numbers that differ between rows
         try:
             for one in self.given:
-                unit, values = str(one.origin.unit), given[one.origin.set_at].tolist()
-                s[one.setting.first] = np.array([to_si(x, unit) for x in values])
+                values = given[one.origin.set_at].tolist()
+                s[one.setting.first] = np.array(to_si_each(values, str(one.origin.unit)))
                 is_filled &= _are_allowed(one.setting, s)
             for setting in self.bound:
                 for place, program in zip(setting.span, setting.elements or (), strict=True):
@@ -177,7 +177,8 @@ class _Requirement:
         self.function, self.operands = function, operands
 
     def holds(self, s: list[float]) -> bool:
-        return bool(np.all(self.function(*(_value(x, s) if isinstance(x, Setting) else x for x in self.operands))))
+        held = self.function(*[_value(x, s) if isinstance(x, Setting) else x for x in self.operands])
+        return bool(held if isinstance(held, (bool, np.bool_)) else np.all(held))
 
     def hold(self, s: list[Any], n: int) -> Array:
         """Return whether it holds in each of n rows."""

@@ -11,6 +11,11 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+resource: Any = None
+with contextlib.suppress(ImportError):  # Windows, and Python in a browser, have no such limits
+    import resource
 
 LEAST = 32 * 2**20
 """Bytes that a run leaves free, for what is done with the results."""
@@ -116,13 +121,8 @@ def _mac() -> float:
 
 def _limits() -> Iterator[float]:
     """What each limit leaves that holds for this process, or for a control group that it is in."""
-    if sys.platform == "win32":
+    if resource is None:
         return
-    try:
-        import resource
-    except ImportError:  # Python in a browser, which has no such limits
-        return
-
     limits = []
     for name, field in (("RLIMIT_AS", 0), ("RLIMIT_DATA", 5)):
         kind = getattr(resource, name, None)

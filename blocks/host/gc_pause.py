@@ -19,7 +19,11 @@ class paused(ContextDecorator):
 
     def __enter__(self) -> None:
         self._runs = gc.isenabled()
-        gc.disable()
+        try:
+            gc.disable()
+        except BaseException:  # Ctrl-C comes at the end of a call
+            self.__exit__()
+            raise
 
     def __exit__(self, *raised: object) -> None:
         if self._runs:

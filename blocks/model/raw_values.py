@@ -78,6 +78,8 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
 
 def _no_limit(raw: Any) -> object:
     """Return inf and -inf as a file has them, as texts, also in a list for copies; any other value as it is."""
+    if type(raw) is float:  # the most frequent
+        return f"{raw:f}" if math.isinf(raw) else raw
     if isinstance(raw, (np.ndarray, np.generic)) and raw.dtype.kind == "f" and np.isinf(raw).any():
         raw = raw.tolist()
     if type(raw) in (list, tuple):

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..api.batch import Batch, BatchRows
+from ..api.batch import Batch, BatchRows, prepared_of
 from ..api.case import EMPTY, Case, ModelWords, Work, key_of, sources
+from ..api.diagram import run_of
+from ..api.run import RunOptions
 from ..host.progress_line import in_rows, live_line
 from ..model.block_signals import element_of
 from ..model.diagram_grammar import MEASURE_UNITS
@@ -84,7 +86,8 @@ def sweep(
     _check_units(list(given), batches)
     own = zip(rows.columns.items(), first.units, strict=True)
     rows = replace(rows, columns={name: _in_unit(name, column, unit) for (name, column), unit in own})
-    begun = diagram.start(cases[0].without("measures").updated(log=case.settings.get("log", ())))
+    of_start = cases[0].without("measures").updated(log=case.settings.get("log", ()))
+    begun = run_of(diagram, of_start, RunOptions(), likes=prepared_of(first, diagram.value))
     start = begun.results
     begun.leave()
     units = units_of_measures(flat)

@@ -20,7 +20,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -183,6 +183,12 @@ def to_si(value: float, unit: str, *, exact: Fraction | None = None) -> float:
         return (n * p * s + r * d * q) / (d * q * s)  # of integers: rounded once
     except OverflowError:
         return math.copysign(math.inf, value)
+
+
+def to_si_each(values: Sequence[float], unit: str) -> Sequence[float]:
+    """Return what `to_si` gives for each of many values."""
+    p, q, r, _ = _affine(unit) if unit else (1, 1, 0, 1)
+    return values if p == q and not r else [to_si(value, unit) for value in values]
 
 
 def _written(value: float) -> tuple[int, int]:

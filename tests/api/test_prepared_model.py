@@ -336,6 +336,57 @@ def test_threads_may_share_a_model() -> None:
         same(got[value], results)
 
 
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_a_refused_run_in_one_thread_changes_no_run_in_another(engine: str) -> None:
+    model = loop().prepare(engine=engine)
+    plain, other = loop().run(engine=engine), loop().run(engine=engine, parameters={"k": 3.0})
+    wrong: list[BaseException] = []
+
+    def work(bad: dict[str, Any]) -> None:
+        try:
+            for _ in range(20):
+                with pytest.raises(BlocksError):
+                    model.run(parameters=bad)
+                same(model.run(), plain)
+                same(model.run(parameters={"k": 3.0}), other)
+        except BaseException as error:
+            wrong.append(error)
+
+    threads = [threading.Thread(target=work, args=(bad,)) for bad in ({"k": "x"}, {"nothing": 1.0})]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+@pytest.mark.parametrize("settings", [{}, {"every": None, "jumps": True}])
+def test_results_of_two_runs_share_nothing_that_can_be_changed(engine: str, settings: dict[str, Any]) -> None:
+    model = loop().prepare(engine=engine, **settings)
+    first, second = model.run(), model.run()
+    kept = second.values.tobytes(), dict(second.columns), second.origin.told()  # type: ignore[union-attr]
+    assert not np.shares_memory(first.values, second.values)
+    assert not np.shares_memory(first.t, second.t)
+    for mapping in (first.columns, first.measures, first.origin.settings, first.origin.versions):  # type: ignore[union-attr]
+        mapping.clear()  # type: ignore[attr-defined]
+    for k in range(5):
+        model.run(parameters={"k": 5.0 + k})
+    third = model.run()
+    for results in (second, third):
+        assert (results.values.tobytes(), dict(results.columns), results.origin.told()) == kept  # type: ignore[union-attr]
+    assert second.measures == third.measures != {}
+
+
+def test_origins_are_equal_and_pickled_as_what_they_say() -> None:
+    """Settings, equations and values are described when they are read."""
+    unread, read = loop().run().origin, loop().run().origin
+    assert read is not None
+    assert (read.settings["stop"], read.settings["every"]) == (2.0, 0.25)
+    assert unread == read == pickle.loads(pickle.dumps(loop().run().origin))
+    assert loop().run(stop=3.0).origin != read
+
+
 @pytest.mark.parametrize("again", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy, copy.copy])
 def test_a_model_is_pickled_as_what_it_is_made_of(again: Callable[[Any], Any]) -> None:
     model = loop().prepare(parameters={"k": 4.0}, rtol=1e-8)

@@ -115,10 +115,9 @@ def _begun(
     """The batch as C reads it, and its arrays."""
     settings, n = plan.settings, len(table)
     assert settings.stop is not None
-    z, s, located = engine.model.begin
     stops = [float(t) for t in settings.stops if settings.start < t < settings.stop]
     kept = {
-        "p": table, "z": z, "s": s, "located": located, "ticks": engine.at_start(),
+        "p": table, "ticks": engine.at_start(), **dict(engine.model.begin),
         "stops": np.array([*stops, float(settings.stop)]),
         "signals": np.full((n, grid, len(engine.model.logged)), np.nan),
         "measured": np.empty((n, len(plan.measures), _KEPT)),

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from ...compile.c.runtime_texts import RUNTIME, loop_units, packaged, stiff_unit
 from ...compile.plan import Node, Plan, Reference
 from ...compile.tableaus import STIFF
 from ...compile.toolchain.compiler import TranslationUnit
+from ...text.arrays import Array
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
@@ -72,6 +73,21 @@ def model_of(
         return model
 
 
+class OfSettings(NamedTuple):
+    """What runs with the same settings and nominal sizes begin with.
+
+    setup: as C has it. expected: how many rows they record. atol: of each state, in the order of C. ticks: the numbers
+    of the first ones.
+    """
+
+    settings: object
+    nominal: tuple[float, ...]
+    setup: object
+    expected: int
+    atol: Array
+    ticks: list[int]
+
+
 class Model(RuntimeTables):
     """The compiled model of a Plan. lanes: the machine whose lanes run several at once; None: there are none.
     why_no_lanes: they were asked for, and would bring nothing. is_quick: it may begin with quickly compiled code, as
@@ -112,13 +128,14 @@ class Model(RuntimeTables):
         begins = _sides(plan)
         sides = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in begins]
         located = [float(isinstance(begin, Reference)) for begin in begins]
-        self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
+        begin = {"z": guesses, "s": sides, "located": located}
+        self.begin = tuple((name, np.array(row, dtype=float)) for name, row in begin.items())
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
         self.constants = self.numbers.ctypes.data, self.tables.ctypes.data
         """Where the rows n and c are."""
         self._carried: CarriedOrder | None = None
         self._of_measures: tuple[object, object, Measures] | None = None
-        self._of_settings: tuple[object, object, int] | None = None  # of the last run
+        self._of_settings: OfSettings | None = None  # of the last run
         self.spare: list[Any] = []  # memory for rows that no run has now
         self.entries: dict[str, Entry] = {}  # of the memory of its runs; empty before the first of them
         self._plan, self._filled = plan, made.filled
@@ -171,12 +188,18 @@ class Model(RuntimeTables):
             last = self._of_measures = plan.measures, plan.settings, Measures(plan)
         return last[2]
 
-    def for_settings(self, plan: Plan) -> tuple[object, int]:
-        """What runs with the settings of a plan are made of, and how many rows they are expected to record."""
+    def tolerances(self, plan: Plan) -> Array:
+        """Return the absolute tolerance of each state, in the order of C."""
+        tolerances: Array = plan.settings.atol * np.array(plan.nominal, dtype=float)[self.order]
+        return tolerances
+
+    def for_settings(self, plan: Plan) -> OfSettings:
+        """Return what runs with the settings of a plan begin with."""
         settings = plan.settings
         last = self._of_settings
-        if last is not None and last[0] is settings:  # as in runs with other parameters
-            return last[1:]
+        # As in runs with other parameters.
+        if last is not None and last.settings is settings and last.nominal is plan.nominal:
+            return last
         setup = runtime_layout.BlocksSetup.from_buffer_copy(self.setup)
         setup.rtol, setup.plain_atol = settings.rtol, settings.atol
         start = settings.start
@@ -193,8 +216,10 @@ class Model(RuntimeTables):
             rows = (settings.stop - start) / settings.every + 64
         # More than that is copied anyway, from chunks that are freed meanwhile.
         expected = int(rows) if rows * 8 * (1 + len(self.logged)) <= 2**26 else 256
-        self._of_settings = settings, setup, expected
-        return setup, expected
+        count = start / plan.base
+        ticks = [max(0, math.ceil((count - rate.offset) / rate.period)) for rate in plan.rates]
+        made = self._of_settings = OfSettings(settings, plan.nominal, setup, expected, self.tolerances(plan), ticks)
+        return made
 
 
 def _sides(plan: Plan) -> list[Node | Reference]:

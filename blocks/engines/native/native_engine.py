@@ -77,7 +77,8 @@ class NativeEngine:
         self.tracks: list[Array] = []
         self._oracle: ReferenceEngine | None = None
         self._failure: BaseException | None = None
-        self._alone = _Alone(plan.name)
+        self._lock = threading.RLock()
+        self._inside: int | None = None  # the thread in which a program of a stepper runs
         self._stop_exact: Fraction | None = None
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
@@ -105,10 +106,10 @@ class NativeEngine:
         self.told: list[Array] = []  # pieces of (t, cause)
         self._whole: Array | None = None  # rows that were taken from C, the last one included, which C has too
         # The first rows stand in memory that results may keep without a copy, where they do.
-        shape = self._expected, 1 + len(self.model.logged)
+        shape = self._of_settings.expected, 1 + len(self.model.logged)
         self._first = np.empty(shape) if self.settings.records_jumps else self._handle.rows(shape)
-        rows, begin = self._handle.sim.rows, self._first.ctypes.data
-        rows.next, rows.end, rows.bytes = begin, begin + self._first.nbytes, float(self._first.nbytes)
+        rows, begin, size = self._handle.sim.rows, self._first.ctypes.data, self._first.nbytes
+        rows.next, rows.end, rows.bytes = begin, begin + size, float(size)
 
     def start(self) -> None:
         self._clear()
@@ -120,11 +121,10 @@ class NativeEngine:
         """Set the values that C begins with."""
         plan, sim, start = self.plan, self.sim, self.settings.start
         sim.t = sim.broken = float(start)
-        count = start / plan.base
-        self._row("ticks")[:] = [max(0, math.ceil((count - rate.offset) / rate.period)) for rate in plan.rates]
         self._set_exact(start)
-        self._row("p")[:] = plan.parameters
-        self._row("z")[:], self._row("s")[:], self._row("located")[:] = self.model.begin
+        for name, row in (("ticks", self._of_settings.ticks), ("p", plan.parameters), *self.model.begin):
+            if len(row):
+                self._row(name)[:] = row
         sim.crossing = int(plan.starting is True)
         if self._foreign is not None:
             self._foreign.begin(plan, sim.t)
@@ -140,9 +140,9 @@ class NativeEngine:
     def _made(self) -> Handle:
         """The C side for the settings."""
         plan, model = self.plan, self.model
-        of_settings, self._expected = model.for_settings(plan)
-        setup = runtime_layout.BlocksSetup.from_buffer_copy(of_settings)
-        self._atol = atol = self._tolerances(plan)
+        self._of_settings = of_settings = model.for_settings(plan)
+        setup = runtime_layout.BlocksSetup.from_buffer_copy(of_settings.setup)
+        self._atol = atol = of_settings.atol.copy()
         setup.atol = atol.ctypes.data
         setup.most_bytes = for_recording() / COPIES
         table = self._table(setup)
@@ -156,13 +156,10 @@ class NativeEngine:
         memory.f = None if self._foreign is None else self._foreign.address
         return handle
 
-    def _tolerances(self, plan: Plan) -> Array:
-        """The absolute tolerance of each state, in the order of C."""
-        tolerances: Array = self.settings.atol * np.array(plan.nominal, dtype=float)[self.model.order]
-        return tolerances
-
     def _table(self, setup: Any) -> Array:
         """The tracks of the inputs where C reads them."""
+        if not self.inputs.tracks:
+            return np.empty(0)
         table, self.tracks = track_table(self.inputs)
         setup.ntracks, setup.tracks = len(table), table.ctypes.data
         return table
@@ -184,8 +181,15 @@ class NativeEngine:
 
     def _call(self, function: Callable[..., int], *arguments: object) -> int:
         """A function of the C side, for this thread alone."""
-        with self._alone:
+        with self._alone():
             return function(*arguments)
+
+    def _alone(self) -> AbstractContextManager[object]:
+        """Return what lets no other thread use the C side. Raises UsageError (E501) inside the run's own stepper."""
+        if self._inside == threading.get_ident():  # other threads wait
+            message = "a stepper cannot use the run that it is part of."
+            raise UsageError(Fault("E501", self.plan.name, message, "Use the stepper's inputs and outputs."))
+        return self._lock
 
     # --- going on --------------------------------------------------------------------------------------------------
 
@@ -258,14 +262,14 @@ class NativeEngine:
         Python would else raise it on the way from C to such a program, or to what hears an FMU, where nobody can
         catch it.
         """
-        with patient(lambda: self._alone.is_inside) as look_up:
+        with patient(lambda: self._inside is not None) as look_up:
             yield
             if self._failure is None:
                 look_up()
 
     def _drain(self) -> None:
         """Take over the events that C has gathered."""
-        with self._alone:
+        with self._alone():
             self._take_over()
 
     def _take_over(self) -> None:
@@ -279,7 +283,7 @@ class NativeEngine:
         """Run a stepper by means of the reference engine."""
         try:
             try:
-                self._alone.is_inside = True
+                self._inside = threading.get_ident()
                 instants = self._reference().instants
                 if what == 1:
                     instants.programs.pop(number, None)
@@ -292,9 +296,9 @@ class NativeEngine:
                     outputs[place] = d[slot]
                 return 0
             finally:
-                self._alone.is_inside = False
+                self._inside = None
         except BaseException as error:  # it is raised again when C has come back
-            self._alone.is_inside = False
+            self._inside = None
             self._failure = error
             return 1
 
@@ -378,7 +382,7 @@ class NativeEngine:
         return None if self._foreign is None else self._foreign.adopt()
 
     def _state(self, overrides: Mapping[str, object]) -> State:
-        with self._alone:
+        with self._alone():
             return self._state_now(overrides)
 
     def _state_now(self, overrides: Mapping[str, object]) -> State:
@@ -499,7 +503,7 @@ class NativeEngine:
             self.fail()
 
     def set_input(self, index: int, value: Array) -> None:
-        with self._alone:
+        with self._alone():
             self._set_input(index, value)
 
     def _set_input(self, index: int, value: Array) -> None:
@@ -509,7 +513,7 @@ class NativeEngine:
         self.model.library.blocks_reload(self.address)
 
     def set_parameters(self, plan: Plan) -> None:
-        with self._alone:
+        with self._alone():
             self._set_parameters(plan)
 
     def _set_parameters(self, plan: Plan) -> None:
@@ -522,7 +526,7 @@ class NativeEngine:
         """The values of parameters, and the tolerances that follow from them."""
         self.plan = plan
         self._row("p")[:] = plan.parameters
-        self._atol[:] = self._tolerances(plan)
+        self._atol[:] = self.model.tolerances(plan)
         self.model.library.blocks_reload(self.address)
 
     def _change(self) -> None:
@@ -531,7 +535,7 @@ class NativeEngine:
         self.sim.outstanding = self.sim.changed = 1
 
     def values(self, references: tuple[Reference, ...]) -> Row:
-        with self._alone:
+        with self._alone():
             return self._values(references)
 
     def _values(self, references: tuple[Reference, ...]) -> Row:
@@ -563,7 +567,7 @@ class NativeEngine:
 
         def rates(x: Array) -> Array:
             given = np.ascontiguousarray(x[order])
-            with self._alone:
+            with self._alone():
                 counted = self.sim.evaluations
                 library.blocks_rates(self.address, t, given.ctypes.data, out.ctypes.data)
                 self.sim.evaluations = counted
@@ -579,7 +583,7 @@ class NativeEngine:
         return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))  # without the room for more of them
 
     def recorded(self) -> Recorded:
-        with self._alone:
+        with self._alone():
             return self._recorded()
 
     def _recorded(self) -> Recorded:
@@ -588,7 +592,7 @@ class NativeEngine:
         whole = self._rows()
         method = told_method(self.settings.method, sim.stiff_from)
         statistics = Statistics(method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
-        pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
+        pairs = np.concatenate(self.told) if self.told else _NO_PAIRS
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), model.told_as)
         measures, uncovered = self._measures().results(self.t)
         warnings = (*self.warnings, *uncovered, *self._unseen())
@@ -627,7 +631,7 @@ class NativeEngine:
         return taken
 
     def taken(self) -> Array:
-        with self._alone:
+        with self._alone():
             self.sim.slice = min(self.sim.slice, 0.01)  # s: so few rows gather until the next moment
             first, in_chunks = self._counts()
             if not first:
@@ -677,27 +681,8 @@ class NativeEngine:
         return unseen_faults(plan, {name: motions.of(asked[name]) for name in LOOKS}, by_look)
 
 
-class _Alone:
-    """No other thread uses the C side of a run meanwhile. Raises UsageError (E501) inside the run's own stepper.
-
-    is_inside: whether a program of a stepper runs.
-    """
-
-    def __init__(self, name: str) -> None:
-        self._name, self._lock, self.is_inside = name, threading.RLock(), False
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-        if self.is_inside:  # this thread: others wait
-            self._lock.release()
-            message = "a stepper cannot use the run that it is part of."
-            raise UsageError(Fault("E501", self._name, message, "Use the stepper's inputs and outputs."))
-
-    def __exit__(self, *raised: object) -> None:
-        self._lock.release()
-
-
 _UNHEARD = nullcontext()
+_NO_PAIRS = np.empty((0, 2))
 
 
 def in_brief(plan: Plan, failure: int, culprit: int, t: float, cure: str) -> Fault:

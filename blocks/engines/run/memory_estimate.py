@@ -46,7 +46,10 @@ def rows_of(plan: Plan, begin: Fraction) -> int:
     if settings.stop is None:
         return 0
     steps = [settings.every] if settings.every is not None else _steps(plan)
-    return int((settings.stop - begin) / min(steps)) + 1 if steps else 1
+    if not steps:
+        return 1
+    (a, b), (c, d) = (settings.stop - begin).as_integer_ratio(), min(steps).as_integer_ratio()
+    return a * d // (b * c) + 1
 
 
 def _steps(plan: Plan) -> list[Fraction]:
