@@ -18,7 +18,8 @@ _PLACES = {
         "analysis.operating": "find_operating_point limit_cycles operating_points",
         "analysis.responses": "Comparison Response compare",
         "analysis.loop_maps": "LoopMap loop_map",
-        "frequency.figures": "bode gang_of_four nichols nyquist pole_map sigma step_figure",
+        "frequency.equivalents": "EquivalentPID HighFrequencyGain equivalent_pid high_frequency_gain",
+        "frequency.figures": "bode gang_of_four gang_of_six nichols nyquist pole_map sigma step_figure",
         "frequency.linear_adrc": (
             "Controller EulerCycle Gains SamplingLimits adrc_gains bandwidth_gains controller "
             "disturbance_bandwidth disturbance_estimate equivalent_bandwidth euler_cycles half_gain "

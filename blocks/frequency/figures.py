@@ -1,4 +1,4 @@
-"""Figures over frequency: Bode, Nyquist, Nichols, singular values, the gang of four, poles and zeros, steps.
+"""Figures over frequency: Bode, Nyquist, Nichols, singular values, the gangs of four and six, poles and zeros, steps.
 
 Each function takes a system, several, or a mapping of names to systems, and returns a `matplotlib.figure.Figure` that
 `results.plots.save` and `svg_text` write. It takes the words of `results.plots.Look`: size, title, xlabel, ylabel, xlim
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -210,28 +210,69 @@ def gang_of_four(
     plant: object, controller: object, omega: Iterable[float] | None = None, **look: Unpack[Look]
 ) -> object:
     """|S|, |T|, |PS| and |CS| of a plant P and a controller C in a loop with negative feedback; with their peaks."""
-    parts = single_channels({"P": plant, "C": controller}, "gang_of_four")
-    if len({trace.known.dt for trace in parts}) != 1:
-        raise UsageError(Fault("E501", "gang_of_four", "the plant and the controller have different periods."))
-    if any(trace.measured for trace in parts):
-        raise UsageError(
-            Fault("E501", "gang_of_four", "measured data are known at their own frequencies only; give models.")
-        )
+    parts = _models(single_channels({"P": plant, "C": controller}, "gang_of_four"), "gang_of_four")
     p, c = (trace.known.siso for trace in parts)
-    span = span_of(parts, omega)
-    laws: tuple[tuple[str, str, Callable[[Array, Array], Array]], ...] = (
-        ("S = 1/(1 + PC)", "set point to error", lambda P, C: 1 / (1 + P * C)),
-        ("T = PC/(1 + PC)", "noise to output", lambda P, C: P * C / (1 + P * C)),
-        ("PS = P/(1 + PC)", "load to output", lambda P, C: P / (1 + P * C)),
-        ("CS = C/(1 + PC)", "noise to control", lambda P, C: C / (1 + P * C)),
-    )
-    figure, axes = new_figure(2, 2, height=5.0, width=7.6, share=True, look=look)
+    return _drawn_gang(_FOUR, lambda w: (p(w), c(w), None), span_of(parts, omega), look)
+
+
+@defaults()
+def gang_of_six(
+    plant: object, controller: object, omega: Iterable[float] | None = None, **look: Unpack[Look]
+) -> object:
+    """The gang of four with what r does, for a controller of two degrees of freedom: u = Cr r - C y.
+
+    controller: from r and y, in this order, to u, as `control.linearize(["r", "y"], "u")` of any form gives it, or the
+    `system` of a linear ADRC's `controller`. r reaches y by P Cr S, and u by Cr S. Raises UsageError (E501).
+    """
+    parts = [*single_channels({"P": plant}, "gang_of_six"), *shown_of({"C": controller}, "gang_of_six")]
+    known = parts[1].known
+    if (known.outputs, known.inputs) != (1, 2):
+        what = f"the controller has {known.inputs} inputs and {known.outputs} outputs, but must be from r and y to u."
+        raise UsageError(Fault("E501", "gang_of_six", what, 'Give control.linearize(["r", "y"], "u").'))
+    p = _models(parts, "gang_of_six")[0].known.siso
+
+    def at(w: Array) -> tuple[Array, Array, Array | None]:
+        of_r, of_y = known.at(w)[0]
+        return p(w), -of_y, of_r
+
+    return _drawn_gang((*_FOUR, *_OF_REFERENCE), at, span_of(parts, omega), look)
+
+
+def _models(parts: list[Shown], name: str) -> list[Shown]:
+    if len({trace.known.dt for trace in parts}) != 1:
+        raise UsageError(Fault("E501", name, "the plant and the controller have different periods."))
+    if any(trace.measured for trace in parts):
+        raise UsageError(Fault("E501", name, "measured data are known at their own frequencies only; give models."))
+    return parts
+
+
+_Law = tuple[str, str, Callable[[Array, Array, Any], Array]]
+_FOUR: tuple[_Law, ...] = (
+    ("S = 1/(1 + PC)", "set point to error", lambda P, C, R: 1 / (1 + P * C)),
+    ("T = PC/(1 + PC)", "noise to output", lambda P, C, R: P * C / (1 + P * C)),
+    ("PS = P/(1 + PC)", "load to output", lambda P, C, R: P / (1 + P * C)),
+    ("CS = C/(1 + PC)", "noise to control", lambda P, C, R: C / (1 + P * C)),
+)
+_OF_REFERENCE: tuple[_Law, ...] = (
+    ("P Cr S", "set point to output", lambda P, C, R: P * R / (1 + P * C)),
+    ("Cr S", "set point to control", lambda P, C, R: R / (1 + P * C)),
+)
+
+
+def _drawn_gang(
+    laws: tuple[_Law, ...],
+    at: Callable[[Array], tuple[Array, Array, Array | None]],
+    span: tuple[float, float],
+    look: Look,
+) -> object:
+    rows = len(laws) // 2
+    figure, axes = new_figure(rows, 2, height=2.5 * rows, width=7.6, share=True, look=look)
     start = np.geomspace(*span, 200)
     for axis, (title, meaning, law) in zip(np.ravel(axes), laws, strict=True):
 
-        def value(w: Array, law: Callable[[Array, Array], Array] = law) -> Array:
+        def value(w: Array, law: Callable[[Array, Array, Any], Array] = law) -> Array:
             with np.errstate(all="ignore"):
-                return law(p(w), c(w))
+                return law(*at(w))
 
         w, values = refined(value, start, passes=6)
         gain = decibel_of(values)
@@ -255,7 +296,7 @@ def gang_of_four(
             side = "right" if part > 0.7 else "left" if part < 0.3 else "center"
             text = f"{top.value:.4g} at {top.frequency:.4g} rad/s"
             note(axis, text, (top.frequency, level), (0, 6), color=INK, ha=side)
-    for axis in axes[1]:
+    for axis in axes[-1]:
         axis.set_xlabel("frequency [rad/s]")
     for axis in axes[:, 0]:
         axis.set_ylabel("gain [dB]")

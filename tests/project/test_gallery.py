@@ -222,3 +222,31 @@ def test_the_rod_warms_as_the_matrix_exponential_and_the_series_of_the_heat_equa
         np.testing.assert_allclose(made["far.y"][late], [row[-1] for row in rows], atol=1e-3)
         np.testing.assert_allclose(made["middle.y"][late], [(row[19] + row[20]) / 2 for row in rows], atol=1e-3)
         assert made.measures["warm"] == pytest.approx(series, rel=1 / n**2)
+
+
+def test_observers_of_their_own_laws_are_as_wrong_as_closed_forms_and_a_plain_loop_say() -> None:
+    """The page's numbers: of the linear ones the gain of f -> f - z2 at 2 rad/s, of the sliding one steps of RK4."""
+    text = (PAGES / "laws.md").read_text(encoding="utf-8")
+    told = {
+        name: (float(a), float(b))
+        for name, a, b in re.findall(r"^(\w+): ([\d.]+) after 1 s, ([\d.]+) after 2 s$", text, re.M)
+    }
+    for name, bandwidth in (("linear", 20.0), ("prescribed", 400.0)):
+        assert told[name][1] == pytest.approx(2 * abs(1 - (bandwidth / (2j + bandwidth)) ** 2), abs=1e-4)
+
+    def rates(t: float, x: Array) -> Array:
+        y, z1, z2 = x
+        e = y - z1
+        return np.array([1 + 2 * math.sin(2 * t), z2 + 1.5 * math.sqrt(5 * abs(e)) * np.sign(e), 5.5 * np.sign(e)])
+
+    x, h, errors = np.array([3.0, 0.0, 0.0]), 1e-4, []
+    for k in range(40000):
+        t = k * h
+        k1 = rates(t, x)
+        k2 = rates(t + h / 2, x + h / 2 * k1)
+        k3 = rates(t + h / 2, x + h / 2 * k2)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(t + h, x + h * k3))
+        errors.append(abs(x[2] - 1 - 2 * math.sin(2 * (t + h))))
+    assert told["twisting"][0] == pytest.approx(max(errors[10149::50]), abs=2e-3)
+    assert max(errors[20000:]) < 2e-3
+    assert told["twisting"][1] < 1e-3
