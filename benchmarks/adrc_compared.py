@@ -405,7 +405,10 @@ def tables(made: list[Row]) -> str:
 
 def main() -> None:
     with ProcessPoolExecutor() as pool:
-        made = [row for some in pool.map(rows, PLANTS) for row in some]
+        made = []
+        for some in pool.map(rows, PLANTS):
+            made += some
+            print(*(f"{row.plant}: {row.form} {row.x}, {row.got}" for row in some), sep="\n", flush=True)
     text = tables(made)
     print(text)
     if "--write" in sys.argv:
