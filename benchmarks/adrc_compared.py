@@ -271,6 +271,11 @@ def found(plant: Plant, model: Matrices, law: Law) -> Found | None:
     return Found(float(np.abs(S).max()), float(np.abs(1 - S).max()), noise, *sizes)
 
 
+def _tracked(plant: Plant, model: Matrices, method: Method, x: np.ndarray) -> float:
+    got = found(plant, model, method.design(plant, model, x))
+    return math.inf if got is None else got.track
+
+
 def tuned(plant: Plant, method: Method, seed: int = 1) -> tuple[np.ndarray, Found]:
     """Search the numbers of a method for the smallest integral after a load within the limits."""
     model = plant.matrices()
@@ -294,6 +299,8 @@ def tuned(plant: Plant, method: Method, seed: int = 1) -> tuple[np.ndarray, Foun
     ends = {"maxiter": 400, "xatol": 1e-4, "fatol": 1e-6}
     best = minimize(cost, best.x, method="Nelder-Mead", bounds=bounds, options=ends)
     x = np.exp(best.x)
+    if method.name == "PID":  # b, which the load does not see
+        x[-1] = min(np.linspace(0, 1, 21), key=lambda b: _tracked(plant, model, method, np.append(x[:-1], b)))
     got = found(plant, model, method.design(plant, model, x))
     if got is None:
         raise Unstable(f"{method.form} does not stabilize {plant.name}")
