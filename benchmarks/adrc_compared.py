@@ -267,7 +267,7 @@ def found(plant: Plant, model: Matrices, law: Law) -> Found | None:
         while x.shape[1] < POINTS:
             x, step = np.hstack([x, step @ x]), step @ step
         y = (C @ (x[:n] + at_rest[:n]))[0]
-        sizes.append(float(np.abs(rest - y).sum() * h))
+        sizes.append(float(np.trapezoid(np.abs(rest - y), dx=h)))
     return Found(float(np.abs(S).max()), float(np.abs(1 - S).max()), noise, *sizes)
 
 
