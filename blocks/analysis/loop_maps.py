@@ -1,8 +1,8 @@
 """Maps of a loop: its margins, disturbance rejection and noise over two parameters, from matrices alone.
 
-    found = loop_map(loop, "control.u", "plant.y", over={"control.omega_c": (1, 30), "control.omega_o": (5, 300)})
-    found.best("disturbance", Ms=(None, 1.6), noise=(None, 200))
-    found.plot("Ms", "disturbance", "noise", limits={"Ms": (None, 1.6)})
+found = loop_map(loop, "control.u", "plant.y", over={"control.omega_c": (1, 30), "control.omega_o": (5, 300)})
+found.best("disturbance", Ms=(None, 1.6), noise=(None, 200))
+found.plot("Ms", "disturbance", "noise", limits={"Ms": (None, 1.6)})
 """
 
 from __future__ import annotations
@@ -49,7 +49,10 @@ MEASURES = {
     "noise": "largest |noise → control|", "at_frequency": "|disturbance → output| at the frequency",
 }  # fmt: skip
 """The measures of a map by name, with their titles in figures."""
+LARGER = frozenset({"gain", "phase_deg", "delay", "disk", "crossover"})
+"""Measures of which more is better; of all others less is."""
 _MOST = 250_000
+_EDGE = 1e-9
 _CHECKED = 1e-8
 _ROUNDING = 1e-12
 """Of the largest response: what is small beside it, as |S| at low frequencies, is a difference of larger numbers."""
@@ -101,22 +104,35 @@ class LoopMap(Shown):
                     slack = np.minimum(slack, within)
         return slack
 
-    def best(self, minimize: str, **limits: tuple[float | None, float | None]) -> dict[str, float]:
-        """The parameters with the least value of a measure where all others lie within (least, most).
+    def best(self, measure: str, **limits: tuple[float | None, float | None]) -> dict[str, float]:
+        """The parameters with the best value of a measure where all others lie within (least, most).
 
-        Raises AnalysisError (E705) where nothing does.
+        The best is the largest margin or crossover, and the least of all other measures. Raises AnalysisError (E705)
+        where nothing lies within.
         """
-        values = np.where(self.feasible(**limits), self._measure(minimize), np.nan)
-        if not np.isfinite(values).any():
+        values = np.where(self.feasible(**limits), self._measure(measure), np.nan)
+        if np.isnan(values).all():
             message = "no point of the map is stable and within the limits."
             raise AnalysisError(Fault("E705", self.diagram, message, "Widen the ranges or the limits."))
-        return self._place(np.unravel_index(int(np.nanargmin(values)), values.shape))
+        place = np.nanargmax(values) if measure in LARGER else np.nanargmin(values)
+        return self._place(np.unravel_index(int(place), values.shape))
 
     def at(self, point: Mapping[str, float]) -> dict[str, float]:
-        """Return the measures at the point of the map nearest to a point: `found.at(found.best("noise"))`."""
-        order = zip(self.parameters, self.values, strict=True)
-        place = tuple(int(np.abs(values - point[name]).argmin()) for name, values in order)[::-1]
-        return {name: float(values[place]) for name, values in self.measures.items()}
+        """Return the measures at the point of the map nearest to a point: `found.at(found.best("noise"))`.
+
+        point: every parameter of the map, in its declared unit. Raises UsageError (E501) for others, and outside.
+        """
+        if {*point} != {*self.parameters}:
+            message = f"names {legible(', '.join(map(str, point))[:80]) or 'nothing'}."
+            raise UsageError(Fault("E501", "point", message, f"Parameters of the map: {', '.join(self.parameters)}."))
+        place = []
+        for name, values, unit in zip(self.parameters, self.values, self.units, strict=True):
+            edge = _EDGE * float(np.abs(values).max())
+            if not values[0] - edge <= point[name] <= values[-1] + edge:
+                ends = f"{values[0]:g} to {values[-1]:g}{f' {unit}' if unit else ''}"
+                raise UsageError(Fault("E501", name, f"{point[name]:g} lies outside of the map: {ends}."))
+            place.append(int(np.abs(values - point[name]).argmin()))
+        return {name: float(values[tuple(place[::-1])]) for name, values in self.measures.items()}
 
     def plot(
         self, *measures: str, limits: Limits | None = None, best: str | None = None, **look: Unpack[Look]
@@ -124,7 +140,7 @@ class LoopMap(Shown):
         """Draw measures as contours over both parameters, or as curves over one.
 
         limits: the region where all lie within (least, most) stays clear, the rest is shaded. The present point is a
-        cross. best: a measure; a star marks the point within the limits where it is least, if there is one. Raises
+        cross. best: a measure; a star marks the point that `best` gives within the limits, if there is one. Raises
         UsageError (E501).
         """
         from .map_figure import drawn
@@ -135,7 +151,7 @@ class LoopMap(Shown):
         least: dict[str, list[float]] = {}
         if best is not None:
             with suppress(AnalysisError):
-                where = f"least {best}" + " within the limits" * bool(limits)
+                where = f"{extreme(best)} {best}" + " within the limits" * bool(limits)
                 least[where] = [*self.best(best, **(limits or {})).values()]
         return drawn(self, names, None if limits is None else self.slack(limits), MEASURES, least, look)
 
@@ -176,6 +192,11 @@ class LoopMap(Shown):
         return {name: float(values[k]) for name, values, k in zip(self.parameters, self.values, order, strict=True)}
 
 
+def extreme(measure: str) -> str:
+    """Return what the best value of a measure is: the "largest" or the "least"."""
+    return "largest" if measure in LARGER else "least"
+
+
 @takes(PointWords)
 def loop_map(
     diagram: Diagram,
@@ -191,6 +212,7 @@ def loop_map(
     pade: int = 0,
     amplitude: Mapping[str, object] | None = None,
     sigma: Mapping[str, object] | None = None,
+    overrides: Mapping[str, object] | None = None,
     at: float | None = None,
     check: Callable[[], None] | None = None,
     **words: Unpack[PointWords],
@@ -225,7 +247,7 @@ def loop_map(
         raise UsageError(Fault("E501", "over", f"asks for {count} points.", f"Give {_MOST} at most."))
     measured, enters = measurement or output, disturbance or control
     ends = list(dict.fromkeys((control, enters, measured))), list(dict.fromkeys((control, output)))
-    point: dict[str, Any] = {"at": at, "amplitude": amplitude, "sigma": sigma}
+    point: dict[str, Any] = {"at": at, "amplitude": amplitude, "sigma": sigma, "overrides": overrides}
     each = [dict(zip(names, row, strict=True)) for row in _rows(values)]
     check = check or (lambda: None)
     given = diagram, case, each, ends, pade, point, check
@@ -268,6 +290,8 @@ def _axis(name: str, given: Any, points: int, unit: str) -> Array:
         if isinstance(given, (list, tuple)) and any(isinstance(item, (str, Mapping)) for item in given):
             given = [from_si(in_si(item, unit, f"over {name}"), unit) for item in given]
         values = np.asarray(given, dtype=float)
+    except UsageError:  # a unit of another quantity
+        raise
     except (TypeError, ValueError):
         values = np.zeros(0)
     if values.ndim != 1 or len(values) < 2 or not np.isfinite(values).all() or (np.diff(values) <= 0).any():

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ..contract.block import Block
+from ..contract.interface import Value
+from ..contract.type_texts import resolved_of
 from ..contract.variables import UNLIMITED
 from ..library import LIBRARY
 from ..model.values import in_si
@@ -47,7 +49,7 @@ def ADRC(
 
     omega_c, omega_o: bandwidths of the loop and of the observer, rad/s; omega_o is 5 omega_c unless given. observer:
     "linear", "reduced", "generalized" (extension 2) or "cascade" (2 levels, the last one at -omega_o); or a block class
-    of your own with the ports of a LESO, which gets those of order, b0, bandwidth, unit and unit_u that it has.
+    of your own with the ports of a LESO, which gets order, b0, bandwidth (omega_o), unit, unit_u where it has them.
     by="error": the observer estimates the error r - y and its derivatives, so that none of r are needed. derivatives:
     how many of r are inputs, r2 = dr/dt, r3, ... up to order - 1, of by="output". delay: dead time of the plant, s; the
     observer gets u this much later. filter: time constant of a low-pass filter of what is measured, s. lower, upper:
@@ -63,7 +65,12 @@ def ADRC(
     of_b0 = quotient(quotient(unit, f"s{order}"), unit_u) if unit and unit_u else ""
     gain = _number(b0, of_b0, "b0", lambda number: number != 0, "other than 0")
     d.parameter("b0", gain, unit=of_b0, doc=f"what u adds to the derivative of y of order {order}")
-    speeds = {"omega_c": (omega_c, "loop"), "omega_o": ("=5*omega_c" if omega_o is None else omega_o, "observer")}
+    speeds = {"omega_c": (omega_c, "loop")}
+    if isinstance(observer, str) or "bandwidth" in observer.declaration.parameters:
+        speeds["omega_o"] = ("=5*omega_c" if omega_o is None else omega_o, "observer")
+    elif omega_o is not None:
+        message = f"would do nothing: {observer.__name__} has no parameter bandwidth."
+        raise UsageError(Fault("E501", "ADRC omega_o", message, "Leave it out, or give the observer that parameter."))
     for name, (speed, of) in speeds.items():
         number = _number(speed, "rad/s", name, _is_above_0, "above 0")
         d.parameter(name, number, unit="rad/s", doc=f"bandwidth of the {of}")
@@ -150,14 +157,27 @@ def _number(
         if not isinstance(value, bool) and not math.isnan(number) and fits(number):
             return number
         needed = f"must be {what}"
+    except UsageError:  # a unit of another quantity
+        raise
     except (TypeError, ValueError):
         needed = "must be a number" + (f", or a quantity in {unit}" if unit else "")
     raise UsageError(Fault("E501", f"ADRC {name}", f"{needed}, not {legible(repr(value)[:80])}."))
 
 
 def _observer(observer: str | type[Block], given: dict[str, Any]) -> Block:
+    """Return the observer. Raises UsageError (E501) for a class that has not its ports."""
     if isinstance(observer, str):
         name, more = OBSERVERS[observer]
         return LIBRARY[name](**{**given, **more})
-    known = observer.declaration.parameters
-    return observer(**{key: value for key, value in given.items() if key in known})
+    known, order = observer.declaration.parameters, given["order"]
+    made = observer(**{key: value for key, value in given.items() if key in known})
+    resolved = resolved_of(observer, {"order": Value(order)} if "order" in known else {})
+    if resolved is None:
+        return made
+    inputs, outputs = {*resolved.interface.inputs}, {*resolved.interface.outputs}
+    needed = [f"z{k}" for k in range(1, order + 2)]
+    if inputs != {"y", "u"} or not outputs.issuperset(needed) or f"z{order + 2}" in outputs:
+        message = f"{observer.__name__} is no observer of order {order}: it has {', '.join(sorted(inputs | outputs))}."
+        cure = f"Its inputs must be y and u, its outputs {', '.join(needed)}."
+        raise UsageError(Fault("E501", "ADRC observer", message, cure))
+    return made

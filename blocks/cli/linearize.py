@@ -35,8 +35,6 @@ def add(verbs: Verbs) -> None:
     loop = "open the loop at this signal: L, with S = 1/(1 + L); several signals or a vector: margins of them together"
     takes_several(linear, "--loop", "POINT", loop, dest="loops")
     takes_several(linear, "--open", "C", "a signal to cut", dest="openings")
-    override = "replace a block by a gain: q=1 makes a quantizer a unit gain; q=[[1,0],[0,1]] for several signals"
-    takes_several(linear, "--override", "BLOCK=GAIN", override, dest="overrides")
     pade = "replace delays by Padé models of this order; without it, margins of a loop use exact delays"
     linear.add_argument("--pade", metavar="N", type=int, default=0, help=pade)
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
@@ -77,16 +75,24 @@ def add(verbs: Verbs) -> None:
     loop_map.add_argument("--frequency", metavar="W", type=float, help="rad/s: add the rejection at this frequency")
     limit = 'what is allowed: "Ms<1.6", "phase_deg>45"; the rest of the figure is shaded'
     takes_several(loop_map, "--limit", "MEASURE<X", limit)
-    loop_map.add_argument("--best", metavar="MEASURE", help="print the point with the least value of this measure")
+    best = "print the point where this measure is best: the largest margin, the least of all others"
+    loop_map.add_argument("--best", metavar="MEASURE", help=best)
     loop_map.add_argument("--pade", metavar="N", type=int, default=0, help="order of the Padé models of delays")
     loop_map.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
     loop_map.add_argument("-o", "--out", metavar="FILE", help="write all points as a table (.csv)")
     takes_size(loop_map)
     loop_map.set_defaults(verb=_map)
+    override = "replace a block by a gain: q=1 makes a quantizer a unit gain; q=[[1,0],[0,1]] for several signals"
+    for verb in (linear, loop_map):
+        takes_several(verb, "--override", "BLOCK=GAIN", override, dest="overrides")
     for verb in (linear, observer, loop_map):
         takes_point(verb)
         takes_library(verb)
         takes_json(verb, "one JSON object")
+
+
+def _overrides(options: argparse.Namespace) -> dict[str, object]:
+    return {name: raw_number(v) for name, v in assignments("--override", options.overrides, "q=1").items()}
 
 
 def _linearizer(options: argparse.Namespace) -> tuple[Diagram, Case, dict[str, Any]]:
@@ -122,8 +128,7 @@ def _linearize(options: argparse.Namespace) -> int:
         cure = "Example: --from r --to motor.omega, or --loop control.u."
         raise UsageError(Fault("E501", "linearize", "needs either --from and --to, or --loop alone.", cure))
     diagram, case, point = _linearizer(options)
-    given = assignments("--override", options.overrides, "q=1")
-    linearizer = diagram.linearizer(case, overrides={name: raw_number(v) for name, v in given.items()}, **point)
+    linearizer = diagram.linearizer(case, overrides=_overrides(options), **point)
     if is_loop:
         model: Any = linearizer.exact_loop(options.loops, openings=options.openings, pade=options.pade)
     else:
@@ -162,7 +167,7 @@ def _observer(options: argparse.Namespace) -> int:
 
 
 def _map(options: argparse.Namespace) -> int:
-    from ..analysis.loop_maps import loop_map
+    from ..analysis.loop_maps import extreme, loop_map
     from ..results import plots
 
     for word, place in (("--plot", options.plot), ("--out", options.out)):
@@ -177,7 +182,7 @@ def _map(options: argparse.Namespace) -> int:
     found = loop_map(
         diagram, options.control, options.output, case, over=_ranges(options.over), points=options.points,
         measurement=options.measurement, disturbance=options.disturbance, frequency=options.frequency,
-        pade=options.pade, **point,
+        pade=options.pade, overrides=_overrides(options), **point,
     )  # fmt: skip
     best: dict[str, float] = {}
     failure: AnalysisError | None = None
@@ -194,7 +199,8 @@ def _map(options: argparse.Namespace) -> int:
         if limits:
             print(printable(f"  within {', '.join(options.limit)}: {allowed} points"))
         if best:
-            print(printable(f"  least {options.best}: " + ", ".join(f"{name} = {x:.6g}" for name, x in best.items())))
+            place = ", ".join(f"{name} = {x:.6g}" for name, x in best.items())
+            print(printable(f"  {extreme(options.best)} {options.best}: {place}"))
             print("  there: " + ", ".join(f"{name} = {x:.4g}" for name, x in found.at(best).items()))
     if options.out:
         found.to_csv(options.out)

@@ -14,10 +14,11 @@ from .systems import Source, is_of, source
 
 _EPS = float(np.finfo(float).eps)
 _AT_REST = 1e-9  # of the largest pole: what is nearer to 0 is an integrator
+_LEAST = 1e-7  # of the largest term of a response at its fastest pole: what is smaller is rounding
 
 
 class HighFrequencyGain(NamedTuple):
-    """y^(order) = ... + b0 u: how often y must be derived until u appears, and its factor in SI units."""
+    """y^(order) = ... + b0 u: how often y must be derived until u appears, and its factor, in SI units."""
 
     order: int
     b0: float
@@ -42,12 +43,23 @@ def high_frequency_gain(system: object) -> HighFrequencyGain:
         model = known.realization
         if model.d[0, 0]:
             return HighFrequencyGain(0, float(model.d[0, 0]))
-        row, bound = model.c, np.abs(model.c)
+        speed = float(np.max(np.abs(model.eigenvalues()), initial=0.0)) or 1.0
+        row, bound, terms, reached = model.c / speed, np.abs(model.c) / speed, [], 0.0
         for n in range(1, len(model.a) + 1):
             gain, size = float((row @ model.b)[0, 0]), float((bound @ np.abs(model.b))[0, 0])
-            if abs(gain) > 8 * n * len(model.a) * _EPS * size:  # more than rounding leaves of a 0
-                return HighFrequencyGain(n, gain)
-            row, bound = row @ model.a, bound @ np.abs(model.a)
+            reached = max(reached, size)
+            terms.append(gain if abs(gain) > 8 * n * len(model.a) * _EPS * size else 0.0)
+            row, bound = row @ model.a / speed, bound @ np.abs(model.a) / speed
+        # The terms b0/s^n of the response at the speed of the fastest pole: what is far smaller is what rounding left.
+        largest = max(map(abs, terms), default=0.0)
+        for n, term in enumerate(terms, 1):
+            if term and abs(term) >= _LEAST * largest:
+                return HighFrequencyGain(n, term * speed**n)
+        if reached:
+            what = "whether u reaches y cannot be told from what rounding leaves."
+            raise AnalysisError(
+                Fault("E705", name, what, "Give a model whose zeros are exact, such as a transfer function.")
+            )
     raise AnalysisError(Fault("E705", name, "u does not reach y.", "Choose another input or output."))
 
 
@@ -105,8 +117,8 @@ def equivalent_pid(system: object) -> EquivalentPID:
     """Return the PID controller with a filter that a linear controller of another form is, from y to u.
 
     system: of one input and one output, in continuous time, with one integrator and at most two zeros, as
-    `control.linearize("y", "u")` of an ADRC of order 1 or 2, whatever its observer. Raises AnalysisError (E705) where
-    it is no such controller, and UsageError (E501).
+    `control.linearize("y", "u")` of an ADRC of order 1 or 2 with a LESO or ReducedESO. Raises AnalysisError (E705)
+    where it is no such controller, and UsageError (E501).
 
     References: G. Herbst, Transfer Function Analysis and Implementation of Active Disturbance Rejection Control,
     Control Theory and Technology 19, 2021.
@@ -117,9 +129,12 @@ def equivalent_pid(system: object) -> EquivalentPID:
     size = float(np.max(np.abs(roots), initial=0.0))
     rest = roots[np.abs(roots) > _AT_REST * size]
     top = zeros(system)
-    if len(roots) - len(rest) != 1 or len(top) > 2:
-        is_one = len(roots) - len(rest) == 1
-        what = f"has {len(top)} zeros, but a PID has at most 2." if is_one else "must have one integrator."
+    count, what = len(roots) - len(rest), ""
+    if count != 1:
+        what = f"has {'several integrators' if count else 'no integrator'}, but a PID has one."
+    elif len(top) > 2:
+        what = f"has {len(top)} zeros, but a PID has at most 2."
+    if what:
         raise AnalysisError(Fault("E705", name, f"the controller {what}", "Draw it with gang_of_six or bode instead."))
     N, F = (np.atleast_1d(np.real(np.poly(roots))) for roots in (top, rest))
     kd, kp, ki = np.pad(N, (2 - len(top), 0)) * -high_frequency_gain(system).b0 / F[-1]

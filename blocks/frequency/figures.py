@@ -17,7 +17,8 @@ import numpy as np
 
 from ..results.plots import INK, STYLES, Look, defaults
 from ..text.arrays import Array
-from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.errors import AnalysisError, BlocksError, Fault, UsageError
+from .closed_loop import closed_loop
 from .disk import DiskMargins
 from .figure_curves import (
     curve_of,
@@ -38,7 +39,7 @@ from .margins import Margins
 from .margins import margins as margins_of
 from .response import poles, zeros
 from .search import highest, layout, refined
-from .systems import Source
+from .systems import Source, source
 
 if TYPE_CHECKING:
     from ..results.figure import Figure
@@ -212,7 +213,8 @@ def gang_of_four(
     """|S|, |T|, |PS| and |CS| of a plant P and a controller C in a loop with negative feedback; with their peaks."""
     parts = _models(single_channels({"P": plant, "C": controller}, "gang_of_four"), "gang_of_four")
     p, c = (trace.known.siso for trace in parts)
-    return _drawn_gang(_FOUR, lambda w: (p(w), c(w), None), span_of(parts, omega), look)
+    unstable = _is_unstable(plant, controller)
+    return _drawn_gang(_FOUR, lambda w: (p(w), c(w), None), span_of(parts, omega), unstable, look)
 
 
 @defaults()
@@ -235,7 +237,8 @@ def gang_of_six(
         of_r, of_y = known.at(w)[0]
         return p(w), -of_y, of_r
 
-    return _drawn_gang((*_FOUR, *_OF_REFERENCE), at, span_of(parts, omega), look)
+    unstable = _is_unstable(plant, controller, channel=1)
+    return _drawn_gang((*_FOUR, *_OF_REFERENCE), at, span_of(parts, omega), unstable, look)
 
 
 def _models(parts: list[Shown], name: str) -> list[Shown]:
@@ -244,6 +247,19 @@ def _models(parts: list[Shown], name: str) -> list[Shown]:
     if any(trace.measured for trace in parts):
         raise UsageError(Fault("E501", name, "measured data are known at their own frequencies only; give models."))
     return parts
+
+
+def _is_unstable(plant: object, controller: Any, channel: int | None = None) -> bool:
+    """Whether the closed loop is known to be unstable. channel: of the controller, which then gives -u."""
+    import control
+
+    try:
+        law = control.ss(controller) if channel is None else -control.ss(controller)[0, channel]
+        opened = control.ss(plant) * law
+        closed = closed_loop(opened, source(opened))
+    except (TypeError, ValueError, NotImplementedError, BlocksError):  # of which only responses are known
+        return False
+    return closed is not None and bool(closed.unstable)
 
 
 _Law = tuple[str, str, Callable[[Array, Array, Any], Array]]
@@ -263,6 +279,7 @@ def _drawn_gang(
     laws: tuple[_Law, ...],
     at: Callable[[Array], tuple[Array, Array, Array | None]],
     span: tuple[float, float],
+    unstable: bool,
     look: Look,
 ) -> object:
     rows = len(laws) // 2
@@ -296,6 +313,9 @@ def _drawn_gang(
             side = "right" if part > 0.7 else "left" if part < 0.3 else "center"
             text = f"{top.value:.4g} at {top.frequency:.4g} rad/s"
             note(axis, text, (top.frequency, level), (0, 6), color=INK, ha=side)
+        if unstable:
+            place = {"transform": axis.transAxes, "ha": "center", "fontsize": SMALL}
+            axis.text(0.5, 0.04, "the closed loop is UNSTABLE", color="#b91c1c", **place)
     for axis in axes[-1]:
         axis.set_xlabel("frequency [rad/s]")
     for axis in axes[:, 0]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.loop_maps import MEASURES, LoopMap
+from ..analysis.loop_maps import LARGER, MEASURES, LoopMap
 from ..analysis.loop_maps import loop_map as mapped
 from ..compile.plan import Plan
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
@@ -28,8 +28,6 @@ POINTS, ONE_BY_ONE = 40, 12
 """Values of each parameter; where the model of each point is computed by itself."""
 AROUND = 5.0
 """The factor from a present value to both ends of a range."""
-AT_LEAST = frozenset({"gain", "phase_deg", "delay", "disk", "crossover"})
-"""Measures with a least value as their limit; the others have a largest one."""
 MOST_NAMES = 500
 
 
@@ -42,7 +40,7 @@ def loop_map(
     """Measure a loop over two parameters, at the start of the diagram.
 
     over: by parameter, its range in its declared unit, or [] for one around its present value. limits: by measure.
-    best: the measure that is least at the best point. near: a block or signal that is selected. have: the number of the
+    best: the measure of the best point. near: a block or signal that is selected. have: the number of the
     map that the page has, whose tables are left out. It ends without a result where another message waits.
     """
     names = [*(over or {})]
@@ -63,7 +61,7 @@ def loop_map(
 
     def made() -> dict[str, Any]:
         number, found = _known(session, control, output, ranges, amplitude)
-        ends = {name: (end, None) if name in AT_LEAST else (None, end) for name, end in (limits or {}).items()}
+        ends = {name: (end, None) if name in LARGER else (None, end) for name, end in (limits or {}).items()}
         told: dict[str, Any] = {"number": number, "slack": np.clip(found.slack(ends), -1, 1).tolist(), "best": None}
         notes = [f"Delays are Padé models of order {PADE}."] if linearizer.plan.delays else []
         if len(found.values[0]) == ONE_BY_ONE:
@@ -80,7 +78,7 @@ def loop_map(
 
     title = f"Loop opened at {control}, of {output}. {where}"
     told = analyzed(linearizer, title, made, laws_of(linearizer, [control], [control], [control]), refused)
-    measures = [[name, text, name in AT_LEAST] for name, text in MEASURES.items() if name != "at_frequency"]
+    measures = [[name, text, name in LARGER] for name, text in MEASURES.items() if name != "at_frequency"]
     chosen = {"control": control, "output": output, "over": ranges, "names": axes, "present": [*present.values()]}
     return told | {"map": chosen | {"measures": measures}}
 

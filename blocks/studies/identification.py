@@ -408,8 +408,13 @@ def _in_si(column: Array, unit: str, flat: Flat, name: str) -> Array:
     """
     signal = element_of(name, flat.signals)
     declared = "" if signal is None else signal.declared_unit
+    return _converted(column, unit or declared, units.si_text(declared or unit), name)
+
+
+def _converted(column: Array, unit: str, to: str, name: str) -> Array:
+    """Raises UsageError (E501) for a unit of another quantity."""
     try:
-        factor, offset = units.affine(unit or declared, units.si_text(declared or unit))
+        factor, offset = units.affine(unit, to)
         return column * factor + offset if offset else column * factor
     except ModelError as error:
         raise UsageError(*(Fault("E501", legible(name), fault.message, fault.cure) for fault in error.faults)) from None
@@ -461,4 +466,6 @@ def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> tuple[d
             raise UsageError(Fault("E501", place, message, cure))
     if len(columns["time"]) < 2 or not np.isfinite(columns["time"]).all():
         raise UsageError(Fault("E501", place, "has fewer than two rows, or a time that is not a number."))
+    if unit := given.pop("time", ""):
+        columns["time"] = _converted(columns["time"], unit, "s", "time")
     return columns, given

@@ -178,6 +178,34 @@ def test_what_is_best_lies_within_the_limits_and_no_point_is_better() -> None:
     assert refused.value.code == "E705"
 
 
+def test_the_best_margin_is_the_largest_and_places_outside_of_the_map_are_refused() -> None:
+    d = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0))
+    found = loop_map(d, "control.u", "plant.y", over=OVER, points=9)
+    for name in ("phase_deg", "delay", "disk"):
+        best = found.best(name, Ms=(None, 2.0))
+        allowed = found.measures["Ms"] <= 2.0
+        assert found.at(best)[name] == found.measures[name][allowed].max() > found.measures[name][allowed].min()
+    with pytest.raises(UsageError, match=r"E501 control\.omega_c: .* lies outside of the map"):
+        found.at({**best, "control.omega_c": 1e4})
+    with pytest.raises(UsageError, match=r"E501 point: names control\.omega\. Parameters"):
+        found.at({"control.omega": 3.0})
+    with pytest.raises(UsageError, match=r"E501 over control\.omega_c: \[Hz\] is given, but \[rad/s\] is needed"):
+        loop_map(d, "control.u", "plant.y", over={"control.omega_c": ("1 Hz", "9 Hz")})
+
+
+def test_a_gain_in_place_of_a_limit_gives_the_map_of_the_loop_without_it() -> None:
+    """A limiter at its limit at the start passes nothing on: the error names the cure, and the cure works."""
+    d = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0, lower=-1.0, upper=1.0))
+    d.set("control.lower", 0.5)
+    free = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0))
+    with pytest.raises(AnalysisError, match=r'overrides=\{"control.limit": 1.0\}'):
+        loop_map(d, "control.u", "plant.y", over=OVER, points=4)
+    found = loop_map(d, "control.u", "plant.y", over=OVER, points=4, overrides={"control.limit": 1.0})
+    expected = loop_map(free, "control.u", "plant.y", over=OVER, points=4)
+    for name, values in found.measures.items():
+        assert values == pytest.approx(expected.measures[name], rel=1e-9, nan_ok=True)
+
+
 def test_a_narrow_peak_between_the_points_of_the_grid_is_found() -> None:
     plant = TransferFunction(num=[2.0, 0.004, 200.0], den=[100.0, 100.4, 150.2, 50.0])  # a resonance of 0.2 %
     d = loop_of(ADRC(1, b0=0.02, omega_c=0.3, omega_o=1.5), plant)

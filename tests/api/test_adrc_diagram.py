@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import ADRC, NESO, SMESO, Diagram, Expression, Step, TransferFunction, UsageError, subdiagram
+from blocks import ADRC, NESO, SMESO, Diagram, Expression, ScheduledESO, Step, TransferFunction, UsageError, subdiagram
 from blocks.analysis import adrc_gains, bandwidth_gains, controller
 from blocks.cli import main
+from blocks.library.adrc import ContinuousObserver
 from tests.support.places import ROOT
 
 GIVEN: dict[str, Any] = {"b0": 2.0, "omega_c": 4.0, "omega_o": 20.0, "lower": -5.0, "upper": 8.0}
@@ -120,10 +121,13 @@ def test_the_observer_gets_what_the_delayed_plant_gets() -> None:
         ({"order": 2.0}, "ADRC order"),
         ({"observer": "lineal"}, "Did you mean 'linear'?"),
         ({"observer": 3}, "or a block class"),
+        ({"observer": Step}, "Step is no observer of order 2: it has y"),
+        ({"observer": ScheduledESO}, "ScheduledESO is no observer of order 2: it has bandwidth"),
+        ({"b0": "2 Hz", "unit": "rad", "unit_u": "V"}, "different quantities"),
         ({"by": "both"}, '"output" or "error"'),
         ({"derivatives": 2}, "from 0 to 1"),
         ({"omega_c": "fast"}, "ADRC omega_c"),
-        ({"omega_o": "4 m"}, "quantity in rad/s"),
+        ({"omega_o": "4 m"}, "different quantities"),
         ({"delay": []}, "ADRC delay"),
         ({"delay": True}, "ADRC delay"),
         ({"b0": 0.0}, "ADRC b0: must be other than 0"),
@@ -139,6 +143,22 @@ def test_what_cannot_be_is_refused(words: dict[str, Any], said: str) -> None:
         ADRC(**words)
     assert refused.value.code == "E501"
     assert said in str(refused.value)
+
+
+def test_an_observer_without_a_bandwidth_leaves_no_dead_parameter() -> None:
+    class Fixed(ContinuousObserver):
+        """A LESO at -20."""
+
+        @ContinuousObserver.z.derivative  # type: ignore[untyped-decorator]
+        def dz(z: Any, u: Any, e: Any, b0: Any) -> Any:
+            return np.array([z[1] + 60.0 * e, z[2] + b0 * u + 1200.0 * e, 8000.0 * e])
+
+    control = ADRC(2, b0=2.0, omega_c=4.0, observer=Fixed)
+    known = loop_of(ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0)).run(stop=2.0, every=0.1)
+    assert loop_of(control).run(stop=2.0, every=0.1)["plant.y"] == pytest.approx(known["plant.y"], abs=1e-6)
+    assert "omega_o" not in control.source.value.parameters  # type: ignore[union-attr]
+    with pytest.raises(UsageError, match="E501 ADRC omega_o: would do nothing: Fixed has no parameter bandwidth"):
+        ADRC(2, b0=2.0, omega_c=4.0, omega_o=20.0, observer=Fixed)
 
 
 def test_the_command_writes_it_as_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -279,3 +279,17 @@ def test_a_run_that_holds_the_first_input_before_the_data_is_told_unless_it_is_m
     for meant in ({"start": 100}, {"start": 0}):
         assert not lag_fit(lag_data(100.0), **meant).warnings
     assert not lag_fit(lag_data(0.05)).warnings, "the first sample comes after a period"
+
+
+def test_times_in_another_unit_are_converted_and_those_of_another_quantity_refused(tmp_path: Path) -> None:
+    data = recorded(3)
+    over = {"motor.Ra": OVER["motor.Ra"]}
+    expected = fitted(data, over)
+    for times in ({"value": 1000 * T, "unit": "ms"}, {"value": T, "unit": "s"}):
+        assert fitted({**data, "time": times}, over).values == pytest.approx(expected.values, rel=1e-6)
+    path = tmp_path / "data.csv"
+    columns = np.column_stack([1000 * T, data["v"], data["speed"], data["current"]])
+    np.savetxt(path, columns, delimiter=",", header='# units: {"time": "ms"}\ntime,v,speed,current', comments="")
+    assert fitted(path, over).values == pytest.approx(expected.values, rel=1e-6)
+    with pytest.raises(UsageError, match=r"E501 time: .*kg"):
+        fitted({**data, "time": {"value": T, "unit": "kg"}}, over)

@@ -145,13 +145,13 @@ export function mapOf(app, form, ask) {
     over.replaceChildren(...parts);
     const said = [...limits].map(([name, end]) => `${name} ${measure(name)[2] ? "≥" : "≤"} ${shown(end)}`).join(", ");
     const entry = (name, text) => element("li", { class: name }, text);
-    legend.replaceChildren(entry("cross", "present values: drag the cross, or move it with the arrow keys"), ...(told.best ? [entry("best", `least ${best} within the limits`)] : []),
+    legend.replaceChildren(entry("cross", "present values: drag the cross, or move it with the arrow keys"), ...(told.best ? [entry("best", `${measure(best)[2] ? "largest" : "least"} ${best} within the limits`)] : []),
       ...(said ? [entry("outside", `outside of ${said}`)] : []), ...(tables.Ms.flat().includes(null) ? [entry("unstable", "not stable")] : []), entry("line", `${measure(shade)[1]}: the stronger, the larger`));
     if (!readings.firstChild) readings.append(measures());
     told.map.measures.forEach(([name], k) => (readings.querySelector(`[data-best="${name}"]`).textContent = told.best ? read_(told.best.at[k], name) : "-"));
     read();
   }
-  /** A row for each measure: at the cross, at the best point, its limit; which one is shaded, and which is least. */
+  /** A row for each measure: at the cross, at the best point, its limit; which one is shaded, and which is best at the star. */
   function measures() {
     const radio = (group, name, label_, isOn, act) => Object.assign(element("input", { type: "radio", name: group, "aria-label": label_, onchange: act }), { checked: isOn });
     const rows = told.map.measures.map(([name, text, isLeast]) => {
@@ -161,10 +161,10 @@ export function mapOf(app, form, ask) {
         ask();
       } });
       limit.value = String(limits.get(name) ?? "");
-      const least = isLeast ? "" : radio("map-best", name, `best: least ${text}`, best === name, () => ask((best = name)));
-      return [text, radio("map-shade", name, `shade ${text}`, shade === name, () => [(shade = name), draw(), bound()]), element("output", { "data-of": name }), element("output", { "data-best": name }), element("label", {}, isLeast ? "≥ " : "≤ ", limit), least];
+      const star = radio("map-best", name, `best: ${isLeast ? "largest" : "least"} ${text}`, best === name, () => ask((best = name)));
+      return [text, radio("map-shade", name, `shade ${text}`, shade === name, () => [(shade = name), draw(), bound()]), element("output", { "data-of": name }), element("output", { "data-best": name }), element("label", {}, isLeast ? "≥ " : "≤ ", limit), star];
     });
-    return table(["measure", "shade", "at ✕", "at ★", "limit", "least"], rows);
+    return table(["measure", "shade", "at ✕", "at ★", "limit", "★"], rows);
   }
   const isStable = () => isInside() && between(tables.Ms, ...shares()) !== null;
   const read_ = (x, name) => (x === null ? (name === "Ms" ? "-" : "none") : shown(x, 4));
