@@ -8,12 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .response import poles, zeros
 from .systems import Source, is_of, source
 
 _EPS = float(np.finfo(float).eps)
-_AT_REST = 1e-9  # of the largest pole: what is nearer to 0 is an integrator
+_AT_REST = 1e-12  # of the largest pole: what is nearer to 0 is an integrator
+_SAME = 1e-7  # of a zero: what is nearer to it is the same pole
 _LEAST = 1e-7  # of the largest term of a response at its fastest pole: what is smaller is rounding
 
 
@@ -37,6 +39,8 @@ def high_frequency_gain(system: object) -> HighFrequencyGain:
         if not is_of(system, "TransferFunction"):
             raise AnalysisError(Fault("E705", name, "the order of a measured or delayed response is unknown.", _MODEL))
         num, den = (np.trim_zeros(np.asarray(part[0][0], dtype=float), "f") for part in (system.num, system.den))  # type: ignore[attr-defined]
+        if len(num) > len(den):
+            raise AnalysisError(Fault("E705", name, "the system is improper: y depends on derivatives of u.", _MODEL))
         if len(num):
             return HighFrequencyGain(len(den) - len(num), float(num[0] / den[0]))
     else:
@@ -56,7 +60,7 @@ def high_frequency_gain(system: object) -> HighFrequencyGain:
             if term and abs(term) >= _LEAST * largest:
                 return HighFrequencyGain(n, term * speed**n)
         if reached:
-            what = "whether u reaches y cannot be told from what rounding leaves."
+            what = "rounding hides whether u reaches y."
             raise AnalysisError(
                 Fault("E705", name, what, "Give a model whose zeros are exact, such as a transfer function.")
             )
@@ -109,8 +113,8 @@ class EquivalentPID:
 
 def _corners(roots: tuple[complex, ...]) -> list[str]:
     """Corner frequencies, with the damping of pairs."""
-    told = [f"{abs(p):.6g} rad/s{' (right half-plane)' if p.real > 0 else ''}" for p in roots if p.imag == 0]
-    return told + [f"{abs(p):.6g} rad/s with damping {-p.real / abs(p):.4g}" for p in roots if p.imag > 0]
+    shown = [f"{abs(p):.6g} rad/s{' (right half-plane)' if p.real > 0 else ''}" for p in roots if p.imag == 0]
+    return shown + [f"{abs(p):.6g} rad/s with damping {-p.real / abs(p):.4g}" for p in roots if p.imag > 0]
 
 
 def equivalent_pid(system: object) -> EquivalentPID:
@@ -125,11 +129,9 @@ def equivalent_pid(system: object) -> EquivalentPID:
     """
     name = "equivalent_pid"
     _continuous(system, name)
-    roots = poles(system)
-    size = float(np.max(np.abs(roots), initial=0.0))
-    rest = roots[np.abs(roots) > _AT_REST * size]
-    top = zeros(system)
-    count, what = len(roots) - len(rest), ""
+    rest, top = _visible(poles(system), zeros(system))
+    is_slow = np.abs(rest) <= _AT_REST * np.max(np.abs(rest), initial=0.0)
+    count, rest, what = int(is_slow.sum()), rest[~is_slow], ""
     if count != 1:
         what = f"has {'several integrators' if count else 'no integrator'}, but a PID has one."
     elif len(top) > 2:
@@ -141,3 +143,16 @@ def equivalent_pid(system: object) -> EquivalentPID:
     return EquivalentPID(
         float(kp), float(ki), float(kd), tuple((F / F[-1]).tolist()), tuple(top.tolist()), tuple(rest.tolist())
     )
+
+
+def _visible(p: Array, z: Array) -> tuple[Array, Array]:
+    """Poles and zeros without those that cancel: hidden modes, such as a filter of r."""
+    left, slow = [*p.tolist()], _AT_REST * float(np.max(np.abs(p), initial=0.0))
+    shown = []
+    for zero in z.tolist():
+        near = min(left, key=lambda pole: abs(pole - zero), default=None)
+        if near is not None and abs(near - zero) <= max(_SAME * abs(zero), slow):
+            left.remove(near)
+        else:
+            shown.append(zero)
+    return np.array(left, dtype=complex), np.array(shown, dtype=complex)

@@ -231,6 +231,8 @@ def gang_of_six(
     if (known.outputs, known.inputs) != (1, 2):
         what = f"the controller has {known.inputs} inputs and {known.outputs} outputs, but must be from r and y to u."
         raise UsageError(Fault("E501", "gang_of_six", what, 'Give control.linearize(["r", "y"], "u").'))
+    if [*getattr(controller, "input_labels", ())] == ["y", "r"]:
+        raise UsageError(Fault("E501", "gang_of_six", "the controller is from y and r: r comes first."))
     p = _models(parts, "gang_of_six")[0].known.siso
 
     def at(w: Array) -> tuple[Array, Array, Array | None]:

@@ -70,7 +70,8 @@ def loop_map(
             point = found.best(best, **ends)
             told["best"] = {"point": [*point.values()], "at": _digits([*found.at(point).values()])}
         except AnalysisError as error:
-            notes.append(f"{error.faults[0].message} {error.faults[0].cure}".capitalize())
+            text = f"{error.faults[0].message} {error.faults[0].cure}"
+            notes.append(text[0].upper() + text[1:])
         if number != have:
             data = found.as_json()
             told |= {"axes": [*data["parameters"].values()], "tables": _digits([*data["measures"].values()])}
@@ -160,9 +161,8 @@ def _axes(session: Session) -> list[str]:
 
 
 def _around(session: Session, now: dict[str, Any]) -> list[float]:
-    """A range around a present value: by factors, or that of its slider where it is not above 0."""
-    value, low, high = now["value"], now["low"] or 0.0, now["high"] or 0.0
-    if value > 0:
-        most = session.document.facts[now["name"]].high
-        low, high = value / AROUND, min(value * AROUND, math.inf if most is None else most)
-    return [float(f"{end:.4g}") for end in (low, high)]
+    """A range around a present value within what may be set: by factors, or that of its slider where it is 0."""
+    value, fact = now["value"], session.document.facts[now["name"]]
+    ends = sorted((value / AROUND, value * AROUND)) if value else [now["low"] or 0.0, now["high"] or 0.0]
+    low, high = (float(f"{end:.4g}") for end in ends)
+    return [low if fact.low is None else max(low, fact.low), high if fact.high is None else min(high, fact.high)]

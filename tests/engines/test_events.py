@@ -179,6 +179,41 @@ def test_chattering_is_refused_and_names_its_block() -> None:
 
 
 @pytest.mark.parametrize("settings", [*METHODS, {"engine": "reference"}], ids=str)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_zeno_by_resets_of_a_crossing_of_both_directions_is_refused(settings: dict[str, Any], sign: float) -> None:
+    """x reaches the threshold after gaps of 1, 1/2, 1/4, ...: each time upwards only, or downwards only."""
+
+    class Shorter(Block):
+        sign = Parameter()
+        x = State(0.0, output=True)
+        gap = State(1.0)
+
+        @x.derivative
+        def dx(sign):
+            return sign
+
+        @gap.derivative
+        def dgap(gap):
+            return 0.0 * gap
+
+        @crossing
+        def reached(x, sign):
+            return x - sign
+
+        @reached.reset(x)
+        def back(x, gap, sign):
+            return x - sign * gap
+
+        @reached.reset(gap)
+        def halved(gap):
+            return gap / 2
+
+    with pytest.raises(SimulationError, match=r"E304 b\.reached: .* Zeno") as caught:
+        alone(Shorter(sign=sign), stop=5.0, **settings)
+    assert caught.value.results.t[-1] == pytest.approx(3.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("settings", [*METHODS, {"engine": "reference"}], ids=str)
 @pytest.mark.parametrize("limit", [2.0, 2.3, 0.7 + 1e-16])
 def test_corners_that_touch_a_limit_are_no_chattering(settings: dict[str, Any], limit: float) -> None:
     """A corner exactly at the limit passes it and comes back within an ulp, at each of its times."""

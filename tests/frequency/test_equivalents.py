@@ -88,6 +88,8 @@ def test_what_has_no_gain_at_high_frequency_is_refused() -> None:
         high_frequency_gain(control.ss(-1.0, 0.0, 1.0, 0.0))
     with pytest.raises(AnalysisError, match=r"E705 .* unknown"):
         high_frequency_gain(control.frd([1.0, 0.5], [1.0, 2.0]))
+    with pytest.raises(AnalysisError, match=r"E705 .* improper"):
+        high_frequency_gain(control.tf([1.0, 0.0, 0.0], [1.0, 1.0]))
     with pytest.raises(UsageError, match=r"E501 .* sampled"):
         high_frequency_gain(control.tf([1.0], [1.0, -0.5], 0.1))
     with pytest.raises(UsageError, match=r"E501 .* 2 inputs"):
@@ -117,6 +119,17 @@ def test_the_pid_has_the_response_of_the_controller(order: int, words: dict[str,
     text = str(found)
     assert f"kp {found.kp:.6g}, ki {found.ki:.6g}, kd {found.kd:.6g}" in text
     assert ("with damping" in text) == (order == 2)
+
+
+def test_modes_that_cancel_are_no_part_of_the_pid() -> None:
+    """Beside the PI controller, two filters that y does not move, and an integrator that cancels."""
+    pi = control.ss(control.tf([3.0, 4.0], [1.0, 0.0]))
+    model = control.append(-pi, control.ss(control.tf([5.0], [1.0, 5.0])), control.ss(control.tf([1.0], [1.0, 7.0])))
+    channel = control.ss(model.A, model.B[:, :1], model.C[:1], model.D[:1, :1], remove_useless_states=False)
+    found = equivalent_pid(channel)
+    assert (found.kp, found.ki, found.kd, found.filter) == (pytest.approx(3), pytest.approx(4), 0, (1.0,))
+    with pytest.raises(AnalysisError, match="has no integrator"):
+        equivalent_pid(-control.tf([3.0, 4.0, 0.0], [0.1, 1.0, 0.0]))
 
 
 def test_controllers_that_are_no_pid_are_refused() -> None:

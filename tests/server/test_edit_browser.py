@@ -476,10 +476,20 @@ def test_undo_right_after_a_new_name_takes_that_name_back(
         monkeypatch.setattr(session, "answer", late)
         page.press("Control+a")
         page.type("brake")
-        page.press("Enter")
+        page.press("Enter", "Control+z")  # before there is anything to undo
         hands.seen("[data-path=brake]")
-        page.press("Control+z")
         hands.seen("[data-path=load]")
+        hands.rest()
+        assert path.read_bytes() == MOTOR.read_bytes()
+        assert [step.what for step in hands.editor.undone] == ["rename load to brake"]
+        page.click_at(*hands.box("load"))
+        page.press("F2")
+        page.until("document.querySelector('.typed')")
+        page.press("Control+a")
+        page.type("motor")
+        page.press("Enter", "Delete")  # a name that is taken: the key is the field's, and deletes no block
+        page.until("document.querySelector('.typed[aria-invalid]')")
+        page.press("Escape")
         hands.rest()
         assert path.read_bytes() == MOTOR.read_bytes()
         page.assert_clean()

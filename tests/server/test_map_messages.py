@@ -11,7 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import ADRC, Case, Diagram, DiscreteADRC, Step, TransferFunction
+from blocks import (
+    ADRC,
+    Block,
+    Case,
+    Diagram,
+    DiscreteADRC,
+    Input,
+    Parameter,
+    State,
+    Step,
+    TransferFunction,
+    output,
+)
 from blocks.analysis import loop_map, loop_report
 from blocks.server import gestures, knobs, map_messages, panel  # noqa: F401  # the messages that they answer
 from blocks.server.editor import Editor
@@ -51,6 +63,33 @@ def asking() -> Iterator[Callable[..., tuple[Ask, Session]]]:
     yield of
     for session in sessions:
         session.close()
+
+
+@pytest.mark.parametrize(
+    ("least", "most", "value", "expected"),
+    [(1.0, None, 2.0, [1.0, 10.0]), (None, 1.23456, 1.0, [0.2, 1.23456]), (None, None, -2.0, [-10.0, -0.4])],
+)
+def test_the_range_that_the_page_begins_with_is_one_that_may_be_set(
+    asking: Any, least: float | None, most: float | None, value: float, expected: list[float]
+) -> None:
+    class Proportional(Block):
+        kp = Parameter(1.0, min=least, max=most)
+        ki = Parameter(1.0)
+        r, y = Input(), Input()
+        z = State(0.0)
+
+        @z.derivative  # type: ignore[untyped-decorator]
+        def dz(r: Any, y: Any, ki: Any) -> Any:
+            return ki * (r - y)
+
+        @output  # type: ignore[untyped-decorator]
+        def u(r: Any, y: Any, z: Any, kp: Any) -> Any:
+            return kp * (r - y) + z
+
+    ask, _ = asking(loop(Proportional(kp=value)))
+    told = ask("loop_map")
+    assert told["map"]["over"]["control.kp"] == expected
+    assert np.isfinite(np.array(told["tables"][0], dtype=float)).any() or value < 0
 
 
 def test_the_points_of_a_map_are_what_single_reports_of_the_loop_say(asking: Any) -> None:

@@ -39,10 +39,10 @@ class CrossingWatch:
         self.fired: dict[int, float] = {}  # when each crossing fired last
         theirs = plan.foreign_crossings
         self.resetting = np.array([bool(c.resets) or j in theirs for j, c in enumerate(plan.crossings)], dtype=bool)
-        # Passing one back at once is no Zeno, as where a corner just touches it, but passing it downwards again is. An
-        # FMU's has no direction.
+        # Passing one back at once is no Zeno where it resets nothing, as where a corner just touches it, but passing it
+        # downwards again is. An FMU's has no direction.
         self.directions = [
-            "down" if j in theirs or cause.direction == "both" else cause.direction
+            "down" if j in theirs or (cause.direction == "both" and not cause.resets) else cause.direction
             for j, cause in enumerate(plan.crossings)
         ]
 
@@ -67,7 +67,7 @@ class CrossingWatch:
         """A crossing fires. Refused: one crossing again within some ulp of t, or too many of all of them."""
         cure = "Add a state of rest to the block, or a hysteresis to the crossing."
         name = self.instants.name(crossing)
-        if self.directions[crossing] == ("up" if up else "down"):
+        if self.directions[crossing] in ("both", "up" if up else "down"):
             last = self.fired.get(crossing, -math.inf)
             self.fired[crossing] = t
             if 0 < t - last <= _QUICK * math.ulp(t):  # 0: the same firing, found anew after an interrupt

@@ -219,7 +219,8 @@ export function mapOf(app, form, ask) {
     picture.onpointerup = picture.onpointercancel = (event) => {
       picture.onpointermove = picture.onpointerup = picture.onpointercancel = null;
       isHeld = false;
-      if (hasMoved) to(event, true);
+      if (hasMoved && event.type === "pointerup") to(event, true);
+      else if (hasMoved) move(point, true); // where a cancelled pointer is, is not known
     };
     down.preventDefault();
   };

@@ -43,21 +43,26 @@ export function typedOver(app, name, take) {
   field.style.left = `${text.x + text.width / 2 - around.x}px`;
   field.style.top = `${text.y + text.height / 2 - around.y}px`;
   let isAsking = false;
+  const kept = []; // undo and redo, pressed before the answer
   const done = async (value, isLeft = false) => {
     if (isAsking) return;
     isAsking = true;
-    field.hidden = true; // until the answer, keys such as Ctrl+Z are the drawing's
-    if (!isLeft || document.activeElement === document.body) app.drawing.view.focus();
     const isTaken = !value || value === name || (await take(value));
     isAsking = false;
-    if (isTaken || isLeft) return field.remove();
-    field.ariaInvalid = "true";
-    field.hidden = false;
-    if (document.activeElement === app.drawing.view) field.focus();
+    field.ariaInvalid = isTaken ? null : "true";
+    if (!isTaken && !isLeft) return kept.splice(0);
+    field.onblur = null;
+    field.remove();
+    if (!isLeft || document.activeElement === document.body) app.drawing.view.focus();
+    for (const event of kept) app.drawing.view.dispatchEvent(new KeyboardEvent(event.type, event));
   };
   field.onblur = () => done(field.value.trim(), true);
   field.onkeydown = (event) => {
     event.stopPropagation();
+    if (isAsking && (event.ctrlKey || event.metaKey) && /^[zy]$/i.test(event.key)) {
+      event.preventDefault();
+      kept.push(event);
+    }
     if (event.key === "Enter") done(field.value.trim());
     if (event.key === "Escape") done(null);
   };

@@ -1714,12 +1714,13 @@ static int missed(BlocksSim *s, const double *values, double h)
     return 0;
 }
 
-/* Whether a change of a side counts as a firing. Passing a crossing back at once is no Zeno, as where a corner just
-   touches it, but passing it downwards again is. An FMU's has no direction. */
+/* Whether a change of a side counts as a firing. Passing a crossing back at once is no Zeno where it resets nothing, as
+   where a corner just touches it, but passing it downwards again is. An FMU's has no direction. */
 static int counts(const BlocksSim *s, int j, int up)
 {
     const BlocksCause *cause = &s->setup->causes[j];
-    return (cause->foreign || cause->direction == 3 ? 2 : cause->direction) & (up ? 1 : 2);
+    int both = cause->foreign || (cause->direction == 3 && !cause->nresets);
+    return (both ? 2 : cause->direction) & (up ? 1 : 2);
 }
 
 /* Crossings that come ever faster. */
