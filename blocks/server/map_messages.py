@@ -41,7 +41,7 @@ def loop_map(
 
     over: by parameter, its range in its declared unit, or [] for one around its present value. limits: by measure.
     best: the measure of the best point. near: a block or signal that is selected. have: the number of the
-    map that the page has, whose tables are left out. It ends without a result where another message waits.
+    map that the page has, whose tables are left out. It ends without a result where the page asks something else.
     """
     names = [*(over or {})]
     if not (control and output and names):
@@ -91,7 +91,7 @@ def _known(
 
     def check() -> None:
         session.check_wanted()
-        if session.is_asked_more:
+        if session.is_outdated:  # another page waits until this map is done
             raise UsageError(Fault("E501", "map", "another request stopped this one.", "Request it again."))
 
     document, planned, maps = session.document, session.document.planned, session.maps

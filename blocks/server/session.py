@@ -245,6 +245,13 @@ class Session:
             client.send({**told, "re": message.get("id")})
 
     @property
+    def is_outdated(self) -> bool:
+        """Whether the page that asks this, aside, has asked something else since."""
+        jobs = list(self._jobs)
+        later = jobs[jobs.index(self._job) + 1 :] if self._job in jobs else []
+        return any(job.client is self._job.client for job in later) if self._job is not None else False
+
+    @property
     def is_asked_more(self) -> bool:
         """Whether another question waits to be answered aside: what takes very long ends for it."""
         return not self._aside.empty()

@@ -177,12 +177,48 @@ def test_a_diagram_without_a_controller_and_a_signal_in_no_loop_are_refused_in_w
 
 def test_a_map_ends_where_nobody_waits_and_where_another_is_asked(asking: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     ask, session = asking(loop())
-    monkeypatch.setattr(Session, "is_asked_more", True)
+    monkeypatch.setattr(Session, "is_outdated", True)
     with pytest.raises(UsageError, match="another request stopped this one"):
         ask("loop_map")
     monkeypatch.setattr(session, "_job", type("Job", (), {"is_dropped": True, "message": {"do": "loop_map"}})())
     with pytest.raises(UsageError, match="was cancelled"):
         ask("loop_map")
+
+
+def test_two_pages_that_ask_at_once_both_get_their_map_and_one_that_asks_again_the_later_one() -> None:
+    class Client:
+        """What a page is sent."""
+
+        def __init__(self) -> None:
+            self.told: dict[int, dict[str, Any]] = {}
+
+        def send(self, message: dict[str, Any] | bytes, slot: str = "") -> bool:
+            if isinstance(message, dict) and "re" in message:
+                self.told[message["re"]] = message
+            return True
+
+        def answered(self) -> None:
+            """Do nothing: there is no limit of questions."""
+
+        def wait(self, number: int) -> dict[str, Any]:
+            limit = time.monotonic() + DEADLINE
+            while number not in self.told and time.monotonic() < limit:
+                time.sleep(0.01)
+            return self.told[number]
+
+    session, one, other = Session(Document(loop()), Case()), Client(), Client()
+    try:
+        for client in (one, other):
+            session.connected(client)
+        session.received(one, {"do": "loop_map", "id": 1})
+        session.received(other, {"do": "loop_map", "id": 1})
+        assert one.wait(1)["tables"] == other.wait(1)["tables"]
+        session.received(one, {"do": "loop_map", "id": 2, "over": {C: [1.0, 9.0], O: [4.0, 90.0]}})
+        session.received(one, {"do": "loop_map", "id": 3, "over": {C: [2.0, 9.0], O: [4.0, 90.0]}})
+        assert one.wait(3)["axes"][0][0] == pytest.approx(2.0)
+        assert "another request stopped this one" in str(one.wait(2)["faults"])
+    finally:
+        session.close()
 
 
 def test_several_values_are_written_as_one_step(asking: Any, tmp_path: Path) -> None:
