@@ -175,8 +175,8 @@ class LoopMap(Shown):
 
     def parts(self) -> Iterator[Any]:
         shape = " x ".join(str(len(values)) for values in self.values)
-        stable = int(np.isfinite(self.measures["Ms"]).sum())
-        yield f"{self.diagram}: loop at {self.control}, {shape} points, {stable} of {self.measures['Ms'].size} stable"
+        stable = f"{int(np.isfinite(self.measures['Ms']).sum())} of {self.measures['Ms'].size} closed and stable"
+        yield f"{self.diagram}: loop at {self.control}, {shape} points, {stable}"
         known = {MEASURES[name]: values[np.isfinite(values)] for name, values in self.measures.items()}
         rows = [(name, f"{values.min():.4g}", f"{values.max():.4g}") for name, values in known.items() if len(values)]
         yield Table([("measure", "least", "largest"), *rows])

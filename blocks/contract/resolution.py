@@ -122,11 +122,25 @@ class _Resolving:
     def default(self) -> None:
         """The values that are not given, and with them all structural values and sizes."""
         late = late_units(self.declaration) - self.values.keys()
-        self.structural = _Defaults(self.declaration, self.values, self.place).filled()
+        try:
+            self.structural = _Defaults(self.declaration, self.values, self.place).filled()
+        except ModelError:  # a default may fail because what it is computed from is out of its range
+            self.check_given_ranges()
+            self.stop_at_faults()
+            raise
         for name in late:
             parameter = self.declaration.parameters[name]
             if not callable(parameter.default):
                 self.values[name] = _plain_default(parameter, self.interface.declared_units(parameter))
+
+    def check_given_ranges(self) -> None:
+        """Check the ranges of what is given, as far as its size and unit depend on nothing else."""
+        parameters = self.declaration.parameters
+        structural = {name: value.value for name, value in self.values.items() if parameters[name].structural}
+        for name, value in self.values.items():
+            with contextlib.suppress(ModelError, KeyError):
+                if problem := _range_problem(parameters[name], value.value, Interface(self.cls, structural, {})):
+                    self.fault("E107", name, problem)
 
     @cached_property
     def interface(self) -> Interface:

@@ -229,7 +229,7 @@ def test_the_table_and_the_figure_of_a_map(tmp_path: Path) -> None:
     assert float(rows[1]["control.omega_c"]) == found.values[0][1]
     assert float(rows[1]["Ms"]) == found.measures["Ms"][0, 1]
     assert float(rows[5]["control.omega_o"]) == found.values[1][1]
-    assert "5 x 5 points, 25 of 25 stable" in repr(found)
+    assert "5 x 5 points, 25 of 25 closed and stable" in repr(found)
     assert found.as_json()["measures"]["Ms"][0][1] == found.measures["Ms"][0, 1]
     figure = found.plot("Ms", "noise", limits={"Ms": (None, 1.5)})
     assert [axis.get_title(loc="left") for axis in figure.axes] == ["Ms, largest |S|", "largest |noise → control|"]

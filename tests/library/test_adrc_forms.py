@@ -406,3 +406,13 @@ def test_what_cannot_be_is_refused(given: dict[str, Any], code: str, said: str) 
         noisy_loop(DiscreteADRC(**{**GIVEN, **given}), 2).check()
     assert refused.value.code == code
     assert said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [({"order": 0}, "order: must be at least 1, not 0"), ({"period": 0.0}, "period: must be above 0, not 0")],
+)
+def test_a_number_out_of_its_range_is_named_and_no_default_that_follows(words: dict[str, Any], said: str) -> None:
+    given: dict[str, Any] = {"period": 0.1, "b0": 1.0, "omega_c": 2.0, "omega_o": 5.0}
+    with pytest.raises(ModelError, match=f"E107 .*{said}"):
+        Diagram("d").add("c", DiscreteADRC(**given | words))
