@@ -254,7 +254,7 @@ class Coupling(Shown):
 
     @cached_property
     def columns(self) -> tuple[Link, ...]:
-        """What is recorded, element by element."""
+        """The elements of the recorded signals, in their order."""
         return tuple(link for name in self.log for link in self.signal(name).references)
 
     @cached_property

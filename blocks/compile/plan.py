@@ -307,7 +307,7 @@ NOTHING = Program((), {}, {}, ())
 
 
 _OF_VALUES = frozenset({"time_scale", "delays"})
-"""What is derived from the parameters and settings of a Plan."""
+"""Cached properties that depend on the parameters or settings of a Plan."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -396,7 +396,7 @@ class Plan(Shown):
 
     @cached_property
     def columns(self) -> tuple[Reference, ...]:
-        """What is recorded, element by element."""
+        """The elements of the recorded signals, in their order."""
         return tuple(reference for name in self.log for reference in self.signal(name).references)
 
     @cached_property

@@ -148,7 +148,7 @@ class Simulation:
     def results(
         self, *, origin: Origin | None = None, before: tuple[Fault, ...] = (), between: Between | None = None
     ) -> Results:
-        """What was recorded up to now. before: warnings that come before those of the run."""
+        """Return the results up to now. before: warnings to list before those of the run."""
         plan, recorded, over = self.engine.plan, self.engine.recorded(), self.over
         return Results(
             plan.name, recorded.t, recorded.values, dict(plan.recorded), _told_once(recorded.events, plan),

@@ -1,4 +1,4 @@
-"""What a linear model is to a person who tunes: the b0 of a plant, the PID in a controller."""
+"""Numbers for tuning from a linear model: the order and b0 of a plant, the PID controller that a controller is."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
-from .response import poles, zeros
-from .systems import Source, is_of, source
+from .response import poles, single, zeros
+from .systems import Source, is_of
 
 _EPS = float(np.finfo(float).eps)
 _AT_REST = 1e-12  # of the largest pole: what is nearer to 0 is an integrator
@@ -71,10 +71,7 @@ _MODEL = "Give a linear model without delays, or with pade=3."
 
 
 def _continuous(system: object, name: str) -> Source:
-    known = source(system)
-    if (known.outputs, known.inputs) != (1, 1):
-        what = f"the system has {known.outputs} outputs and {known.inputs} inputs."
-        raise UsageError(Fault("E501", name, what, "Choose a channel, system[i, j]."))
+    known = single(system, name)
     if known.dt > 0:
         raise UsageError(Fault("E501", name, "the system is sampled.", "Give the model in continuous time."))
     return known

@@ -142,7 +142,7 @@ def bandwidth(system: object, *, drop: float = HALF_POWER, relative: str = "dc")
     peak's own frequency; "unity": the lowest at which it falls from above to 0 dB - drop. One input, one output.
     Raises AnalysisError (E705) where the gain at zero frequency is zero or infinite, and UsageError (E501).
     """
-    known = _single(system, "bandwidth")
+    known = single(system, "bandwidth")
     if relative not in ("dc", "peak", "unity"):
         raise UsageError(Fault("E501", "bandwidth", f"relative= must be 'dc', 'peak' or 'unity', not {relative!r}."))
     if not drop > 0:
@@ -177,7 +177,8 @@ def bandwidth(system: object, *, drop: float = HALF_POWER, relative: str = "dc")
     return first_fall(lambda w: np.abs(at(w)), omega, gains, level, above=relative != "unity")
 
 
-def _single(system: object, place: str) -> Source:
+def single(system: object, place: str) -> Source:
+    """Return the source of a system of one input and one output. Raises UsageError (E501) for others."""
     known = source(system)
     if (known.outputs, known.inputs) != (1, 1):
         what = f"{known.outputs} outputs and {known.inputs} inputs, but must have one of each."

@@ -23,7 +23,7 @@ from .panel import knobs_of
 from .session import Session
 
 PAIRS = (("omega_c", "omega_o"), ("kp", "ki"), ("kp", "kd"))
-"""What a map is over unless the page says so: the first pair that a controller has."""
+"""Pairs of parameters for the axes, unless the page names others: the first pair that a controller has counts."""
 POINTS, ONE_BY_ONE = 40, 12
 """Values of each parameter; where the model of each point is computed by itself."""
 AROUND = 5.0

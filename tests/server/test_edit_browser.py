@@ -426,11 +426,7 @@ def test_a_name_that_is_refused_can_be_mended_and_a_slider_leaves_no_value_over_
     path.write_bytes(MOTOR.read_bytes())
     with edited_page(chromium, path) as hands:
         page = hands.page
-        page.click_at(*hands.box("load"))
-        page.press("F2")
-        page.until("document.querySelector('.typed')")
-        page.press("Control+a")
-        page.type("motor")
+        hands.type_name("load", "motor")
         page.press("Enter")
         page.until("document.querySelector('.typed[aria-invalid]')")
         assert "E109" in page.text("#edits .refusal")
@@ -470,23 +466,15 @@ def test_undo_right_after_a_new_name_takes_that_name_back(
     path.write_bytes(MOTOR.read_bytes())
     with edited_page(chromium, path) as hands:
         page = hands.page
-        page.click_at(*hands.box("load"))
-        page.press("F2")
-        page.until("document.querySelector('.typed')")
+        hands.type_name("load", "brake")
         monkeypatch.setattr(session, "answer", late)
-        page.press("Control+a")
-        page.type("brake")
         page.press("Enter", "Control+z")  # before there is anything to undo
         hands.seen("[data-path=brake]")
         hands.seen("[data-path=load]")
         hands.rest()
         assert path.read_bytes() == MOTOR.read_bytes()
         assert [step.what for step in hands.editor.undone] == ["rename load to brake"]
-        page.click_at(*hands.box("load"))
-        page.press("F2")
-        page.until("document.querySelector('.typed')")
-        page.press("Control+a")
-        page.type("motor")
+        hands.type_name("load", "motor")
         page.press("Enter", "Delete")  # a name that is taken: the key is the field's, and deletes no block
         page.until("document.querySelector('.typed[aria-invalid]')")
         page.press("Escape")

@@ -187,7 +187,7 @@ def test_a_map_ends_where_nobody_waits_and_where_another_is_asked(asking: Any, m
 
 def test_two_pages_that_ask_at_once_both_get_their_map_and_one_that_asks_again_the_later_one() -> None:
     class Client:
-        """What a page is sent."""
+        """A page that keeps the answers it gets."""
 
         def __init__(self) -> None:
             self.told: dict[int, dict[str, Any]] = {}

@@ -20,7 +20,7 @@ from tests.support.places import ROOT
 
 WORKS = ROOT / "diagrams" / "adrc"
 FAILS = {("carlson_2025", "apart_printed"), ("carlson_2025", "slowest")}
-"""What the works claim and we do not find."""
+"""Claims of the works that our numbers do not confirm."""
 JUDGED = {"herbst_2013": 4, "half_gain_2020": 10, "footprint_2021": 12, "carlson_2025": 8}
 
 

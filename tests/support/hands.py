@@ -48,6 +48,14 @@ class Hands:
         assert isinstance(document, Editor)
         return document
 
+    def type_name(self, block: str, name: str) -> None:
+        """Select a block and type another name over its name, without Return."""
+        self.page.click_at(*self.box(block))
+        self.page.press("F2")
+        self.page.until("document.querySelector('.typed')")
+        self.page.press("Control+a")
+        self.page.type(name)
+
     # --- what is seen --------------------------------------------------------------------------------------------
 
     def rest(self) -> None:

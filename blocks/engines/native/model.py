@@ -74,7 +74,7 @@ def model_of(
 
 
 class OfSettings(NamedTuple):
-    """What runs with the same settings and nominal sizes begin with.
+    """The values with which all runs of the same settings and nominal sizes begin.
 
     setup: as C has it. expected: how many rows they record. atol: of each state, in the order of C. ticks: the numbers
     of the first ones.

@@ -68,7 +68,7 @@ function between(rows, u, v) {
   return (1 - q) * ((1 - p) * four[0] + p * four[1]) + q * ((1 - p) * four[2] + p * four[3]);
 }
 
-/** @param {any} app @param {HTMLFormElement} form of the loop, the parameters and their ranges @param {Function} ask for it anew */
+/** @param {any} app @param {HTMLFormElement} form fields of the loop, its parameters and ranges @param {Function} ask computes the map again */
 export function mapOf(app, form, ask) {
   const fields = form.elements;
   const limits = new Map([["Ms", 2]]);
