@@ -182,6 +182,7 @@ def test_faults_lead_to_their_blocks_and_hostile_texts_stay_texts(chromium: Any,
         assert "E103" in page.text("#panel .faults")
         page.press("Backspace")
         opened(page, "")
+        page.until("document.querySelector('#lists [data-path=step]') !== null")
         page.evaluate("document.querySelector('#lists [data-path=step]').click()")
         page.until("document.querySelector('#panel .own')?.innerText.startsWith('<img')")
         assert page.evaluate("document.querySelectorAll('img, #panel script').length") == 0
