@@ -404,6 +404,8 @@ class NativeEngine:
             rows["first"] = self._row("first")[place]
             if sim.ncarried:
                 rows["carried"] = self.model.carried_order(self.plan).taken(self._row("carried"))
+            elif sim.has_before:
+                rows["before"] = self._row("before")[len(place) :][: len(self.plan.crossings)].copy()
         if sim.last_row:
             rows |= {"recorded": array(sim.last_row, self._first.shape[1]).copy(), "between": np.array(sim.between)}
         oracle = self._oracle
@@ -436,6 +438,9 @@ class NativeEngine:
                 row[:] = 0.0  # nothing is known of steps before
                 if "carried" in rows:
                     self.model.carried_order(plan).put(rows["carried"], row)
+            elif "before" in rows:
+                self._row("before")[len(rows["first"]) :][: len(rows["before"])] = rows["before"]
+                sim.has_before = 1
         sim.crossed_count = len(rows["crossed"])
         self._row("crossed")[: sim.crossed_count] = rows["crossed"]
         self._put_measures(rows)

@@ -147,6 +147,7 @@ def adapted(state: State, plan: Plan) -> State:
     first = min((index for row, index in formula if row == "p"), default=len(p))  # its constants are the last in p
     rows["parameters"] = np.concatenate([rows["parameters"][:first], p[first:]])
     rows["crossed"] = rows["crossed"] if ours["crossings"] else np.empty(0)
+    rows.pop("before", None)
     return replace(state, plan={**state.plan, **changed}, rows=rows, is_adapted=True)
 
 
@@ -199,7 +200,7 @@ def standing(state: State, plan: Plan, inputs: InputTable) -> tuple[dict[str, Ar
         fixed = 1 if settings.step is None else Grid.of(settings.start, settings.step).after(t)
         numbers = {"step": blank.h, "error": blank.error, "stiffness": blank.stiffness, "fixed": fixed}
         rows |= {name: np.array(number) for name, number in numbers.items()}
-    for name in ("first", "carried") if is_changed or is_other else ():  # as if values were set now
+    for name in ("first", "carried", "before") if is_changed or is_other else ():  # as if values were set now
         rows.pop(name, None)
     return rows, is_changed
 

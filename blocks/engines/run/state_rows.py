@@ -88,6 +88,8 @@ def _table(plan: Plan, method: str) -> dict[str, Row]:
     }
     if method in STIFF:
         table["carried"] = Row((None,), is_optional=True)
+    else:  # the crossings of the step before, of the native engine
+        table["before"] = Row((crossings,), _any, is_optional=True)
     if plan.histories:
         table |= {
             "past.starts": Row((None,), _is_number),

@@ -3025,6 +3025,8 @@ void blocks_reload(BlocksSim *s)
     blocks_inputs(s, fmax(s->t, s->broken));
     s->sides_t = NAN;
     if (s->moving) blocks_outside(s, s->t);
+    /* A state that was saved has the rates there, but not the crossings that stand behind them. */
+    if (s->has_first && s->model->stages) evaluate(s, s->model->crossings, s->t, s->memory.x, s->k[0] + s->model->nx);
 }
 
 int blocks_keep_left(BlocksSim *s)
@@ -3292,7 +3294,7 @@ static void list_memory(BlocksSim *s)
         SCRATCH(memory.w, model->nw), ROW("events", events, ne, both), ENTRY('d', "own", own, ne, both | reset, NAN),
         ROW("located", located, ns, both), ROW(NULL, sides, ns, saved), ROW(NULL, touched, ns, saved), SCRATCH(until, ns), SCRATCH(sure, ns),
         ENTRY('d', "fired", fired, ns, both | reset, -INFINITY), ROW("crossed", crossed, ns ? CROWD : 0, saved),
-        SCRATCH(left, nl), ROW(NULL, before, nx + ns + nm, saved), SCRATCH(latched, ns), SCRATCH(x1, nx),
+        SCRATCH(left, nl), ROW("before", before, nx + ns + nm, saved), SCRATCH(latched, ns), SCRATCH(x1, nx),
         ROW("known", known, 1 + 6 * nm, 0), ROW(NULL, base, nu, saved), ROW(NULL, aim, nu, saved), ROW(NULL, begin, nu, saved),
         ROW(NULL, finish, nu, saved), SCRATCH(xs, nx), SCRATCH(x2, nx + ns), SCRATCH(weights, nx * BLOCKS_MOST_DEGREE),
         SCRATCH(crossing_values, ns), SCRATCH(first_values, 5 * ns), SCRATCH(part_values, 6 * looked),
