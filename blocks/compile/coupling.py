@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..contract.expressions import exact_time
+from ..fmi.types import call_of
 from ..model.block_signals import FlatSignal, element_of
 from ..model.conditional import Ending
 from ..model.flat_block import FlatBlock
@@ -654,6 +655,25 @@ class _Coupler:
         k = source.element
         flat_input = next(i for i in self.flat.inputs if i.first <= k < i.first + math.prod(i.shape))
         return flat_input.name + (f"[{k - flat_input.first}]" if flat_input.shape else "")
+
+
+def slots_at(unit: CoupledUnit, places: Collection[int]) -> list[Slot]:
+    """The variables of an FMU behind some of its inputs."""
+    return [slot for slot in unit.slots_in if any(slot.first <= place < slot.first + slot.size for place in places)]
+
+
+def calls_of(
+    slots: Sequence[Slot], fmi: int, continuous: Sequence[bool] | None = None
+) -> dict[tuple[str, bool], list[Slot]]:
+    """The variables of one call each, in their order: by the part of its name, and whether they move in steps.
+
+    continuous: of the inputs that are set; None: outputs are read.
+    """
+    calls: dict[tuple[str, bool], list[Slot]] = {}
+    for slot in slots:
+        moves = continuous is not None and any(continuous[slot.first : slot.first + slot.size])
+        calls.setdefault((call_of(slot.variable.type, fmi), moves), []).append(slot)
+    return calls
 
 
 def _signal(flat: Flat, name: str) -> FlatSignal:

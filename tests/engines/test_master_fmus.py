@@ -1179,7 +1179,7 @@ def test_rows_are_freed_by_the_library_that_allocated_them(monkeypatch: pytest.M
         freed.append(data)
         library.master_free(data)
 
-    monkeypatch.setattr(engine, "library", SimpleNamespace(master_free=free))
+    monkeypatch.setattr(engine, "library", SimpleNamespace(master_free=free, master_close=library.master_close))
     engine.close()
     engine._free()
     assert freed

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...compile.coupling import Coupling, CouplingLoop, Get, Link
 from ...compile.inputs import InputTable
+from ...compile.master_limits import MOST_GUESSES
 from ...text.arrays import Array
-from .limits import MOST_GUESSES
 from .stepped_units import Course, Running, unsolved
 
 Point = tuple[float, float]

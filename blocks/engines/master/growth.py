@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ...compile.coupling import Coupling
+from ...compile.master_limits import GROWTH, MISSES, NEAR_MISSES
 from ...compile.scheduler import components
 from ...text.errors import Fault
-from .limits import GROWTH, MISSES, NEAR_MISSES
 
 
 def circles(coupling: Coupling, can_save: list[bool]) -> Iterator[tuple[int, list[int]]]:

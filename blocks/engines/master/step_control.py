@@ -12,10 +12,10 @@ from fractions import Fraction
 from typing import Any, Protocol
 
 from ...compile.coupling import Coupling
+from ...compile.master_limits import LEAST, MOST, MOST_SMALL, ROUNDING, SAFETY
+from ...compile.master_policy import Policy
 from ...text.errors import Fault
 from .exchange import Point, course_of
-from .limits import LEAST, MOST, MOST_SMALL, ROUNDING, SAFETY
-from .policy import Policy
 from .stepped_units import Running, too_short
 
 

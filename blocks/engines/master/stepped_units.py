@@ -13,8 +13,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Link, Slot
+from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Link, Slot, calls_of, slots_at
 from ...compile.inputs import InputTable
+from ...compile.master_limits import MOST_PASSES, NEAR, SMALLEST
 from ...compile.plan import Plan, Reference
 from ...compile.time_grid import within_ulps
 from ...compile.toolchain.cache import of_user
@@ -23,11 +24,9 @@ from ...compile.upstream import changed_by
 from ...fmi.instance import Instance, Saved, ended
 from ...fmi.loading import Loaded
 from ...fmi.model_description import ModelVariable
-from ...fmi.types import call_of
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
 from ..run.model_exchange import Foreigns
-from .limits import MOST_PASSES, NEAR, SMALLEST
 
 Course = tuple[float, float, float]
 """How an input goes over a step from t: its value, and its first and second derivative by time."""
@@ -46,20 +45,26 @@ class Running(Protocol):
         ...
 
     def start(self, t: float, stop: float | None) -> None: ...
-    def finish_start(self) -> None: ...
-    def put(self, places: Sequence[int], values: Sequence[float]) -> None: ...
+    def finish_start(self) -> None:
+        raise AssertionError("compiled code ends the initialization")
+
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None:
+        raise AssertionError("compiled code sets inputs")
+
     def take(self, values: Sequence[float]) -> None:
         """All inputs as they are now, for `instant`: an FMU receives them there."""
         self.u[:] = values
 
-    def outputs(self) -> list[float]: ...
+    def outputs(self) -> list[float]:
+        raise AssertionError("compiled code reads outputs")
+
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> float:
         """One step from t to t1, or to an instant before; where it came to."""
         raise AssertionError("compiled code makes the steps")
 
     def instant(self, *, is_due: bool) -> bool:
         """What happens at t, with the inputs as they are now; whether anything did. is_due: only what is due."""
-        ...
+        raise AssertionError("compiled code does what happens")
 
     def arrive(self, *, at_break: bool) -> None:
         """Stand at a communication point, before anything happens there. at_break: the diagram's inputs may bend."""
@@ -555,25 +560,6 @@ class FmuUnit(Running):
 
     def close(self) -> None:
         self.one.close()
-
-
-def slots_at(unit: CoupledUnit, places: Collection[int]) -> list[Slot]:
-    """The variables of an FMU behind some of its inputs."""
-    return [slot for slot in unit.slots_in if any(slot.first <= place < slot.first + slot.size for place in places)]
-
-
-def calls_of(
-    slots: Sequence[Slot], fmi: int, continuous: Sequence[bool] | None = None
-) -> dict[tuple[str, bool], list[Slot]]:
-    """The variables of one call each, in their order: by the part of its name, and whether they move in steps.
-
-    continuous: of the inputs that are set; None: outputs are read.
-    """
-    calls: dict[tuple[str, bool], list[Slot]] = {}
-    for slot in slots:
-        moves = continuous is not None and any(continuous[slot.first : slot.first + slot.size])
-        calls.setdefault((call_of(slot.variable.type, fmi), moves), []).append(slot)
-    return calls
 
 
 def stuck(one: Instance, t: float) -> FMUError:

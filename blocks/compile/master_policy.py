@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ...compile.coupling import Coupling
+from .coupling import Coupling
 
 _ALWAYS = 2**62
 

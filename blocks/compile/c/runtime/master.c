@@ -1,7 +1,7 @@
 /* See master.h. A failure is written down once, where it is found; all that called it comes back. */
 #define _POSIX_C_SOURCE 200809L
 #include "master.h"
-#include "limits.h" /* the constants of limits.py */
+#include "limits.h" /* the constants of master_limits.py */
 
 #include <stdbool.h>
 #include <stdlib.h>
@@ -270,15 +270,23 @@ static void native_inputs(MasterUnit *u, int has_slopes)
     s->has_first = s->has_before = 0;
 }
 
+/* A native unit stands at its start, with its inputs as they are. */
+static int begin_native(Master *m, MasterUnit *u)
+{
+    if (u->ninputs) memcpy(u->track, u->inputs, (size_t)u->ninputs * sizeof(double));
+    return u->stand(u->component) ? fail(m, MASTER_NOT_BEGUN, number_of(m, u), 0, 0, 0.0) : 0;
+}
+
 /* Gives a unit its inputs as they stand in u->inputs, an FMU these of them, for its outputs now. What is discrete can be
-   set in event mode only, where there is one. */
+   set in initialization and event mode only, where there is one. */
 static int put(Master *m, MasterUnit *u, MasterGroup *sets, int n)
 {
     if (u->kind == MASTER_NATIVE) {
+        if (m->is_starting) return begin_native(m, u);
         native_inputs(u, 0);
         return 0;
     }
-    return u->is_over ? 0 : set_groups(m, u, sets, n, u->has_instants);
+    return u->is_over ? 0 : set_groups(m, u, sets, n, u->has_instants && !m->is_starting);
 }
 
 /* What a unit gives, into `to` by elements. */
@@ -309,8 +317,6 @@ static int64_t native_copy(MasterUnit *u, unsigned char *bytes, int writes)
     blocks_walk(&w, u->inputs, row), blocks_walk(&w, u->terms, 4 * row), blocks_walk(&w, u->track, row);
     return (int64_t)w.count;
 }
-
-int64_t master_state_bytes(MasterUnit *u) { return native_copy(u, NULL, 0); }
 
 static int save(Master *m, MasterUnit *u, int whose)
 {
@@ -678,13 +684,14 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first, int at_break)
         return 0;
     }
     if (!u->has_instants || u->is_over) return 0;
-    int is_asked = u->is_due || !is_first; /* by the FMU, or by a jump that it hears of */
+    int is_asked = u->is_due || !is_first || u->begins; /* by the FMU, or by a jump that it hears of */
     for (int i = 0; i < u->ninputs; i++)
         if (!u->moves[i] && u->inputs[i] != u->known[i]) is_asked = 1, u->known[i] = u->inputs[i];
     if (!is_asked) return 0;
     u->is_due = 0;
     u->is_bent = 1;
-    if (judged(m, u, CALL_EnterEventMode, CALL(Plain, u, CALL_EnterEventMode)(u->component))) return 1;
+    if (!u->begins && judged(m, u, CALL_EnterEventMode, CALL(Plain, u, CALL_EnterEventMode)(u->component))) return 1;
+    u->begins = 0;
     if (set_groups(m, u, u->sets, u->nsets, 0)) return 1;
     for (int pass = 0;; pass++) {
         bool needs = false, over = false, nominals = false, states = false, has_next = false;
@@ -889,6 +896,7 @@ static int on_grid(const Master *m)
 /* left: the values before what happened now; null: nothing did. */
 static int record(Master *m, const double *left)
 {
+    if (m->is_silent) return 0;
     double last = m->rows.used ? m->rows.data[m->rows.used - 1 - m->ncolumns] : NAN;
     int is_row = on_grid(m);
     const double end = has_ended(m) ? m->t : m->end;
@@ -1617,6 +1625,204 @@ int master_changed(Master *m, int is_input)
         if (m->units[m->elements[g].unit].t == m->t) begin_anew(&m->past[g], m->t, m->y[g]);
     m->fresh = 0;
     return measure(m, 1.0) || record(m, m->left_row) ? MASTER_FAILED : MASTER_DONE;
+}
+
+/* --- the begin and the end ------------------------------------------------------------------------------------------------ */
+
+/* Memory that goes with the master, as zeros; null, and from then on, where there is none. */
+static void *room(Master *m, int64_t count, size_t size)
+{
+    void **piece = m->failure ? NULL : calloc(1, 16 + (size_t)count * size);
+    if (!piece) {
+        fail(m, MASTER_MEMORY, 0, 0, 0, 0.0);
+        return NULL;
+    }
+    *piece = m->owned;
+    m->owned = piece;
+    return (char *)piece + 16;
+}
+
+static void *copy(Master *m, const void *from, int64_t count, size_t size)
+{
+    void *to = room(m, count, size);
+    if (to && count) memcpy(to, from, (size_t)count * size);
+    return to;
+}
+
+#define REALS(count) room(m, (count), sizeof(double))
+
+static MasterGroup *copy_groups(Master *m, const MasterGroup *from, int n)
+{
+    MasterGroup *to = copy(m, from, n, sizeof *to);
+    /* The orders of derivatives follow the values of reals. */
+    for (int i = 0; to && i < n; i++) to[i].buffer = REALS(2 * to[i].nvalues + 2);
+    return to;
+}
+
+static void open_unit(Master *m, MasterUnit *u)
+{
+    const int64_t n = u->ninputs;
+    u->inputs = REALS(n), u->courses = REALS(3 * n), u->known = REALS(n);
+    u->t = u->next_t = m->t;
+    u->late_t = NAN;
+    u->next = 0;
+    if (u->kind != MASTER_NATIVE) {
+        u->sets = copy_groups(m, u->sets, u->nsets);
+        u->fed = copy_groups(m, u->fed, u->nfed);
+        u->gets = copy_groups(m, u->gets, u->ngets);
+        return;
+    }
+    const BlocksSim *s = u->component;
+    const BlocksModel *model = s->model;
+    const int64_t stood = model->nx + model->nd + model->ns;
+    u->terms = REALS(4 * n), u->given = REALS(u->noutputs + n);
+    u->polynomials.terms = u->terms;
+    u->counted = REALS(s->setup->ncauses + model->ns);
+    u->uncounted = -INFINITY;
+    u->stood = REALS(stood), u->passed = room(m, model->nh, sizeof(int64_t)), u->moved = room(m, stood + n + model->nh, 1);
+    u->saved_bytes = m->failure ? 0 : native_copy(u, NULL, 0);
+    for (int whose = 0; whose < 2; whose++) u->saved[whose] = room(m, u->saved_bytes, 1);
+}
+
+/* The calls of a unit whose inputs and outputs are reals that lie side by side: 0 where they do not. */
+static int make_quick(const Master *m, const MasterUnit *u, MasterQuick *q)
+{
+    *q = (MasterQuick){.component = u->component, .step = u->calls[CALL_DoStep], .kind = u->kind};
+    if (u->kind == MASTER_NATIVE || u->nsets > 1 || u->ngets > 1) return 0;
+    for (int is_get = 0; is_get < 2; is_get++) {
+        if (!(is_get ? u->ngets : u->nsets)) continue;
+        const MasterGroup *g = is_get ? u->gets : u->sets;
+        const int32_t *places = g->places;
+        int is_constant = !is_get, is_together = !(g->scales || g->offsets);
+        if (g->type != BLOCKS_FLOAT64 || g->nvalues != g->nreferences) return 0;
+        int64_t first = is_get ? places[0] : u->links[places[0]].place;
+        for (int64_t i = 0; i < g->nvalues; i++) {
+            const MasterLink *link = is_get ? NULL : &u->links[places[i]];
+            is_constant &= link && link->row == MASTER_CONSTANT;
+            is_together &= (!link || link->row == MASTER_ELEMENT) && first >= 0 && (link ? link->place : places[i]) == first + i;
+        }
+        if (!is_constant && !is_together) return 0;
+        double *values = is_constant ? g->buffer : m->y + first;
+        if (is_constant) { /* set once: they stay */
+            for (int64_t i = 0; i < g->nvalues; i++)
+                values[i] = (u->links[places[i]].constant - (g->offsets ? g->offsets[i] : 0.0)) / (g->scales ? g->scales[i] : 1.0);
+        }
+        if (is_get) q->get = g->move, q->get_references = g->references, q->nget = (size_t)g->nreferences, q->get_values = values;
+        else q->set = g->move, q->set_references = g->references, q->nset = (size_t)g->nreferences, q->set_values = values;
+    }
+    return 1;
+}
+
+/* Inputs held, one grid, no instants, and nothing to be converted or put in order. */
+static void make_all_quick(Master *m)
+{
+    int is_plain = m->is_uniform && !(m->needs_past || m->has_instants);
+    for (int i = 0; i < m->nstages; i++) is_plain &= m->stages[i].loop < 0 && m->stages[i].is_plain;
+    MasterQuick *quick_units = is_plain ? room(m, m->nunits, sizeof *quick_units) : NULL;
+    for (int k = 0; quick_units && k < m->nunits; k++)
+        if (!make_quick(m, &m->units[k], &quick_units[k])) quick_units = NULL;
+    m->quick = quick_units;
+}
+
+int master_open(Master *m)
+{
+    const int64_t n = m->nelements, e = m->nexchanged;
+    int64_t nu = 0;
+    m->failure = MASTER_FINE;
+    m->owned = NULL;
+    m->y = REALS(n), m->left_y = REALS(n), m->kept_y = REALS(3 * n), m->guess = REALS(n), m->ends = REALS(n);
+    m->past = room(m, n, sizeof *m->past), m->old = room(m, n, sizeof *m->past), m->kept_past = room(m, n, sizeof *m->past);
+    m->units = copy(m, m->units, m->nunits, sizeof *m->units);
+    for (int k = 0; m->units && k < m->nunits; k++) open_unit(m, &m->units[k]);
+    m->stages = copy(m, m->stages, m->nstages, sizeof *m->stages);
+    for (int i = 0; m->stages && i < m->nstages; i++)
+        if (m->stages[i].nsets) m->stages[i].sets = copy_groups(m, m->stages[i].sets, m->stages[i].nsets);
+    m->loops = copy(m, m->loops, m->nloops, sizeof *m->loops);
+    for (int i = 0; m->loops && i < m->nloops; i++) m->loops[i].work = REALS((int64_t)m->loops[i].n * (m->loops[i].n + 5));
+    for (int j = 0; j < m->ntracks; j++) nu += m->tracks[j].size;
+    m->base = REALS(nu), m->aim = REALS(nu), m->begin = REALS(nu), m->finish = REALS(nu);
+    m->inverse = 0 < e && e <= MOST_LEARNT ? REALS(e * e) : NULL;
+    m->z = REALS(e), m->f = REALS(e), m->dz = REALS(e), m->df = REALS(e), m->work = REALS(3 * e);
+    m->left_row = REALS(2 * m->ncolumns + 2);
+    m->due = room(m, m->nunits, 1), m->acting = room(m, m->nunits, 1), m->changed = room(m, m->nunits, 1);
+    m->renewed = room(m, n, 1);
+    m->start = m->broken = m->t;
+    m->fresh = m->row = 0;
+    if (!m->failure) {
+        take_segment(m, m->t);
+        make_all_quick(m);
+    }
+    return m->failure != MASTER_FINE;
+}
+
+void master_close(Master *m)
+{
+    for (void **piece = m->owned, **next; piece; piece = next) {
+        next = *piece;
+        free(piece);
+    }
+    m->owned = NULL;
+}
+
+/* Whether an FMU can go back: some say that they can, and cannot. */
+static int try_to_save(Master *m, MasterUnit *u)
+{
+    void *state = NULL;
+    int status = CALL(State, u, CALL_GetFMUState)(u->component, &state), call = CALL_GetFMUState;
+    if (status <= WARNING && state) {
+        status = CALL(Restore, u, CALL_SetFMUState)(u->component, state), call = CALL_SetFMUState;
+        if (status != FATAL && u->calls[CALL_FreeFMUState]) {
+            int freed = CALL(State, u, CALL_FreeFMUState)(u->component, &state);
+            if (freed > status) status = freed, call = CALL_FreeFMUState;
+        }
+    } else {
+        status = status > WARNING ? status : ERROR_;
+    }
+    if (status > WARNING) u->can_save = 0;
+    return status == FATAL ? judged(m, u, call, status) : 0;
+}
+
+static int finish_start(Master *m, MasterUnit *u)
+{
+    if (u->kind == MASTER_NATIVE) return begin_native(m, u);
+    if (judged(m, u, CALL_ExitInitializationMode, CALL(Plain, u, CALL_ExitInitializationMode)(u->component))) return 1;
+    memcpy(u->known, u->inputs, (size_t)u->ninputs * sizeof(double));
+    u->begins = u->has_instants;
+    return u->can_save ? try_to_save(m, u) : 0;
+}
+
+int master_start(Master *m)
+{
+    int is_new = 0;
+    m->failure = MASTER_FINE;
+    m->depth = 0;
+    m->is_starting = 1;
+    int wrong = 0;
+    for (int k = 0; k < m->nunits && !wrong; k++) /* before anything is known of their inputs */
+        if (m->units[k].kind == MASTER_NATIVE) wrong = begin_native(m, &m->units[k]);
+    wrong = wrong || evaluate(m, m->t);
+    for (int k = 0; k < m->nunits && !wrong; k++) {
+        take_inputs(m, &m->units[k], m->t);
+        wrong = put(m, &m->units[k], m->units[k].sets, m->units[k].nsets);
+    }
+    for (int k = 0; k < m->nunits && !wrong; k++) wrong = finish_start(m, &m->units[k]);
+    m->is_starting = 0;
+    if (wrong) return MASTER_FAILED;
+    for (int k = 0; k < m->nunits; k++)
+        if (m->is_doubled && !m->units[k].can_save) m->is_doubled = 0, m->first_step = m->first_step * sqrt(m->tolerance) / 10;
+    if (evaluate(m, m->t)) return MASTER_FAILED; /* some FMUs compute their outputs only when they leave initialization */
+    memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+    double edge = next_break(m, m->broken);
+    int at_break = edge <= m->t || blocks_within_ulps(edge, m->t, 0.0);
+    for (int k = 0; k < m->nunits; k++) /* its start alone makes nothing due */
+        if (m->units[k].kind == MASTER_NATIVE) ((BlocksSim *)m->units[k].component)->changed = 0;
+    if (instants(m, m->left_y, at_break)) return MASTER_FAILED;
+    for (int g = 0; g < m->nelements; g++) {
+        begin_anew(&m->past[g], m->t, m->y[g]);
+        is_new |= m->elements[g].first_reader < m->elements[g + 1].first_reader && !m->elements[g].is_held;
+    }
+    m->fresh = !is_new;
+    return measure(m, 1.0) || record(m, NULL) ? MASTER_FAILED : MASTER_DONE;
 }
 
 const int64_t master_sizes[] = {

@@ -28,13 +28,15 @@ enum {
     MASTER_TOO_SMALL,
     MASTER_MEMORY,
     MASTER_TOO_EARLY,   /* an FMU stopped before its step's end and was not allowed to */
-    MASTER_PENDING      /* a step of FMI 2 that did not get done for `patience` s */
+    MASTER_PENDING,     /* a step of FMI 2 that did not get done for `patience` s */
+    MASTER_NOT_BEGUN    /* a native unit did not come to stand at its start */
 };
 
 /* Functions of a unit, by their names: those of FMI, then those of the runtime for native units. */
 enum {
     CALL_DoStep = 0, CALL_GetFMUState, CALL_SetFMUState, CALL_FreeFMUState, CALL_SetRealInputDerivatives, CALL_GetRealStatus,
-    CALL_GetBooleanStatus, CALL_EnterEventMode, CALL_UpdateDiscreteStates, CALL_EnterStepMode, CALL_GetStatus, CALLS_OF_FMI,
+    CALL_GetBooleanStatus, CALL_EnterEventMode, CALL_UpdateDiscreteStates, CALL_EnterStepMode, CALL_GetStatus,
+    CALL_ExitInitializationMode, CALLS_OF_FMI,
     CALL_proceed = CALLS_OF_FMI, CALL_settle, CALL_is_due, CALL_logged, CALL_reload, CALL_next, CALL_COUNT
 };
 
@@ -56,10 +58,13 @@ typedef struct {
     void *move;
 } MasterGroup;
 
+/* Who makes a unit sets what does not change; a native one has its `component`, `track` and `stand` before master_open. The
+   memory for the rest is that of master_open. */
 typedef struct {
     int32_t kind, way, ninputs, noutputs, nsets, ngets, nfed, has_feed, has_instants, acts, can_save, has_moving, is_unsure;
     /* acts: something may happen in it at an instant; has_instants: of itself, or because of a jump of what it takes */
     void *component;                  /* of an FMU, or a BlocksSim */
+    int (*stand)(void *component);    /* native: it stands at its start, with the inputs in `track` */
     void *calls[CALL_COUNT];
     const MasterLink *links;          /* (ninputs) */
     const uint8_t *moves;             /* (ninputs) whether it is extrapolated */
@@ -96,6 +101,7 @@ typedef struct {
     int32_t remembers_inputs;
     double step;
     double late_t; /* when a jump first reached it between its points; NaN: none has */
+    int32_t begins;                   /* an FMU is in event mode since its initialization, until its first instant */
     int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
     double warned_t;
 } MasterUnit;
@@ -141,12 +147,12 @@ typedef struct {
     int32_t is_held, jumps;     /* whether it changes at instants only, and whether they may change it */
 } MasterElement;
 
-/* The first fields, up to least_step, are those of policy.py. */
+/* The first fields, up to least_step, are those of master_policy.py; `is_doubled` as if all units could go back. */
 typedef struct {
     int32_t order, iterations, is_sequential, is_controlled, is_doubled;
     int64_t iterated_steps;
     double noise, tolerance, ratio, span, first_step, least_step;
-    int32_t nunits, nelements, nstages, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past, has_rigid;
+    int32_t nunits, nelements, nstages, nloops, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past, has_rigid;
     MasterUnit *units;
     MasterStage *stages;
     MasterLoop *loops;
@@ -164,6 +170,8 @@ typedef struct {
     BlocksGrid every;
     int64_t row, fresh; /* fresh: so many steps since something jumped */
     int32_t has_jumps; /* whether a jump of what is recorded stands as two rows, wherever it is */
+    int32_t is_silent; /* nothing is recorded */
+    int32_t is_starting;
     int32_t has_inverse;
     double inverse_h;
     double *inverse, *z, *f, *dz, *df, *work; /* (nexchanged^2) and (nexchanged) */
@@ -182,13 +190,19 @@ typedef struct {
     MasterGrowth *watched;
     int32_t *grown;  /* of each circle: the element that has grown without bound; -1: none */
     double *grown_t; /* and when */
+    void *owned;     /* memory of master_open */
 } Master;
 
+/* Make its own copies of all tables, and the memory that it computes with: 1 where there is none. */
+BLOCKS_API int master_open(Master *m);
+BLOCKS_API void master_close(Master *m);
+/* The exchange of outputs and inputs, the end of the initialization and the instant at the start. FMUs are in initialization
+   mode, with their parameters. */
+BLOCKS_API int master_start(Master *m);
 BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop` */
 BLOCKS_API int master_changed(Master *m, int is_input);           /* an input or a parameter was set from outside, at the time where it stands */
 extern BLOCKS_API const int64_t master_sizes[]; /* of the structures above, in their order */
 BLOCKS_API void master_free(double *data);                        /* of rows or points, which C has allocated */
-BLOCKS_API int64_t master_state_bytes(MasterUnit *u);             /* of a native unit */
 BLOCKS_API void master_intermediate(void *environment, double t, int set_requested, int get_allowed, int finished,
                                     int can_return, void *early, double *early_time);
 
