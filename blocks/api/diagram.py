@@ -43,7 +43,7 @@ from ..model.resolver import resolver_of
 from ..model.variants import Swap, taken
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
-from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.other_words import Guided
 from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
@@ -462,6 +462,10 @@ class Diagram(Guided):
         progress: Callable[[float, float], None] | None = None,
         resume: State | OperatingPoint | str | Path | None = None,
         out: str | Path | None = None,
+        trace: str | Sequence[str] | None = None,
+        trace_file: str | Path | None = None,
+        log_categories: str | Sequence[str] = (),
+        profile: bool = False,
         **words: Unpack[Words],
     ) -> Results:
         """Simulate to `stop`.
@@ -475,21 +479,34 @@ class Diagram(Guided):
         Parquet file, `out` and ".part", while it goes on, and its results read them from the file when they are asked
         for. resume="x.parquet.part" goes on from what a run that was killed has left, to the same file.
 
+        trace: an FMU, several, or "*" for all, whose calls are written to trace_file, as text or, if its name ends in
+        .jsonl, as one JSON object on each line; by default to "NAME.trace.log" of the diagram's name. log_categories:
+        of messages that these FMUs are asked for, beside those about failures. profile: measure the calls of all FMUs,
+        `results.profile`. None of these changes a bit of the results; see docs/fmu.md.
+
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
         """
         from .run import RunOptions
 
-        case, options = case_of(case, words), RunOptions(progress=progress, resume=resume, out=out)
+        case, options = case_of(case, words), RunOptions(
+            progress=progress, resume=resume, out=out, trace=trace, trace_file=trace_file,
+            log_categories=log_categories, profile=profile,
+        )  # fmt: skip
         if out is None and resume is None:
-            return self._prepared(case).run_of(case.without(*FIXED), options).finish()
-        run = run_of(self, case, options)
+            run = self._prepared(case).run_of(case.without(*FIXED), options)
+        else:
+            run = run_of(self, case, options)
         try:
             results = run.finish()
             run.keep(results)
+        except (SimulationError, FMUError) as error:
+            if error.results is not None:
+                error.results = run.concluded(error.results)
+            raise
         finally:
             run.leave()
-        return results
+        return run.concluded(results)
 
     @takes(Words)
     def prepare(self, case: Case | None = None, **words: Unpack[Words]) -> PreparedModel:

@@ -7,7 +7,7 @@ import functools
 import math
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -26,6 +26,7 @@ from ..engines.run.differences import of_values
 from ..engines.run.engine import Engine
 from ..engines.run.saved_state import Kept, State, adapted, check, packed
 from ..engines.selection import simulation
+from ..fmi.trace import Tracer
 from ..host.gc_pause import paused
 from ..host.ipython_errors import UnknownName
 from ..host.progress_line import live_line
@@ -65,7 +66,8 @@ class RunOptions:
 
     progress: called with the time that is reached, and the stop time. out: the file of the results. notice: called with
     a warning that is found while the run goes on; None: it becomes a Python warning. loading: called with the diagram
-    when nothing speaks against the run any more, before its FMUs are loaded.
+    when nothing speaks against the run any more, before its FMUs are loaded. trace: the FMUs whose calls are written
+    to trace_file, with messages of log_categories. profile: whether the time of calls of FMUs is measured.
     """
 
     progress: Callable[[float, float], None] | None = None
@@ -73,6 +75,10 @@ class RunOptions:
     resume: State | OperatingPoint | str | Path | None = None
     loading: Callable[[DiagramValue], None] | None = None
     out: str | Path | None = None
+    trace: str | Sequence[str] | None = None
+    trace_file: str | Path | None = None
+    log_categories: str | Sequence[str] = ()
+    profile: bool = False
 
     def check(self) -> None:
         """Raise UsageError (E501) for a value of the wrong kind."""
@@ -224,12 +230,19 @@ class Run:
             self._warnings = self._others(state, given or {})
         table = _input_table(plan, named, case.interpolation, state)
         self.settings: RunSettings = plan.settings
+        self._tracer: Tracer | None = None
+        if options.trace or options.trace_file or options.log_categories or options.profile:
+            from .fmu_calls import names_of, tracer_of
+
+            categories = names_of(options.log_categories)
+            self._tracer = tracer_of(plan, options.trace, options.trace_file, categories, profile=options.profile)
         if options.loading is not None:
             options.loading(prepared.value)
         self._simulation: Simulation = simulation(
             plan, table, engine=case.engine, progress=_towards(options.progress, plan.settings), state=state,
             model=prepared.alike.model,
             programs=prepared.alike.programs, is_streamed=streaming is not None and streaming.is_streamed,
+            tracer=self._tracer,
         )  # fmt: skip
         prepared.alike.model = getattr(self._simulation.engine, "model", None)
         prepared.alike.programs = getattr(self._simulation.engine, "compiled", None)
@@ -291,6 +304,24 @@ class Run:
     def end(self) -> None:
         """Free its FMUs at once: it does not go on."""
         self._simulation.engine.abandon()
+
+    def concluded(self, results: Results) -> Results:
+        """Free the FMUs that are traced or measured, and end the trace. Returns the results with the profile."""
+        tracer = self._tracer
+        if tracer is None:
+            return results
+        from .fmu_calls import profile_of
+
+        self.end()
+        fault = tracer.close()
+        if fault is not None:
+            (self._options.notice or _warned)(fault)
+        return results.changed(profile=profile_of(tracer, results.statistics.seconds)) if tracer.profiles else results
+
+    @property
+    def trace_file(self) -> str | None:
+        """The file that the calls of FMUs are written to; None if they are not."""
+        return None if self._tracer is None else self._tracer.file or None
 
     def leave(self) -> None:
         """Leave this run for good. Another run may continue from its part."""

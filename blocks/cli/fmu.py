@@ -11,7 +11,7 @@ from ..host.gc_pause import paused
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
 from .option_values import assignments, check_writable
-from .options import Verbs, takes_json, takes_run, takes_several
+from .options import Verbs, takes_json, takes_profile, takes_run, takes_several
 from .output import emit, printable, say, waiting
 from .run import run_diagram
 
@@ -55,6 +55,10 @@ def add(verbs: Verbs) -> None:
     alone.add_argument("--kind", metavar="CS|ME", type=str.upper, help=kind)
     alone.add_argument("--isolate", action="store_true", help="run it in a process of its own")
     takes_run(alone)
+    alone.add_argument(
+        "--trace", metavar="FILE", dest="trace_file", help="write all calls of the FMU: text, or .jsonl for JSON lines"
+    )
+    takes_profile(alone)
     alone.set_defaults(verb=_run_fmu, library=[])
     compiling = parts.add_parser(
         "compile",
@@ -98,6 +102,9 @@ def _compile(options: argparse.Namespace) -> int:
 def _run_fmu(options: argparse.Namespace) -> int:
     """An FMU as a diagram of one block; its own times and steps hold unless the command gives others."""
     options.diagram, options.variants, options.trust = options.fmu, [], []
+    options.trace = ["*"] if options.trace_file else []
+    if options.trace_file:
+        check_writable("--trace", options.trace_file, [options.fmu])
     is_chosen = options.log is not None
     with waiting(f"reading {options.fmu}", quiet=options.json), paused():
         diagram = _alone(options)

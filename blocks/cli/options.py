@@ -70,6 +70,13 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     takes_json(run)
 
 
+def takes_profile(verb: argparse.ArgumentParser) -> None:
+    """Take what is observed of FMUs, beside --trace."""
+    category = "ask the traced FMUs for messages of these categories, too; they are written to the trace"
+    verb.add_argument("--log-categories", metavar="A,B", help=category)
+    verb.add_argument("--profile", action="store_true", help="show how long the calls of each FMU took")
+
+
 def takes_master(verb: argparse.ArgumentParser) -> None:
     master = "a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
     takes_several(verb, "--master", "KEY=VALUE", f"{master}couple=each, iterations=50; may be repeated")

@@ -15,7 +15,7 @@ from ..host.gc_pause import paused
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.printable import counted
 from .option_values import case_of, check_writable, look_of
-from .options import Verbs, takes_library, takes_run, takes_trust, takes_variants
+from .options import Verbs, takes_library, takes_profile, takes_run, takes_several, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, silence, tell_faults, waiting
 from .stop_signals import INTERRUPTED, ended_at_once
 
@@ -34,6 +34,11 @@ def add(verbs: Verbs) -> None:
     run = verbs.add_parser("run", help="simulate a diagram", description="Simulate a diagram and print its signals.")
     run.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     takes_run(run)
+    trace = "write all calls of this FMU to a file; may be repeated, and * means all FMUs"
+    takes_several(run, "--trace", "FMU", trace)
+    file = "the file of --trace: text, or .jsonl for JSON lines (default: DIAGRAM.trace.log)"
+    run.add_argument("--trace-file", metavar="FILE", help=file)
+    takes_profile(run)
     takes_variants(run)
     takes_trust(run)
     run.set_defaults(verb=run_diagram)
@@ -111,6 +116,10 @@ def _started(
             resume=options.resume,
             loading=_name_fmus,
             out=None if options.out == "-" and not target_of(options.resume) else options.out,
+            trace=options.trace,
+            trace_file=options.trace_file,
+            log_categories=[name.strip() for name in (options.log_categories or "").split(",") if name.strip()],
+            profile=options.profile,
         )
         return run_of(diagram, case, given)
 
@@ -129,6 +138,9 @@ def _concluded(
     if results.interrupted and options.out and results.rows > LONG:
         say(f"interrupted: writing {results.rows} rows to {options.out}; a second Ctrl-C loses them")
     written, refused = _written(options, run, results, shown, is_whole=failure is None)
+    results = run.concluded(results)
+    if run.trace_file is not None:
+        written.append(f"trace of calls in {run.trace_file}")
     known = (*run.warnings, *run.plan.warnings, *told)
     tell_faults([warning for warning in results.warnings if warning not in known], options.json)
     if failure is not None:
@@ -209,6 +221,8 @@ def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
         check_format(options.out)
     if options.save:
         check_writable("--save", options.save, read)
+    if options.trace_file:
+        check_writable("--trace-file", options.trace_file, read)
     if options.plot:
         check_writable("--plot", options.plot, read)
         look_of(options)
@@ -289,6 +303,7 @@ def _report(
                 "ended": run.ended and run.ended.message,
                 "signals": results.summary(),
                 "measures": dict(results.measures),
+                **({} if results.profile is None else {"profile": results.profile.entries()}),
             }
         )
         return
@@ -328,3 +343,6 @@ def _report_lines(options: argparse.Namespace, run: Run, results: Results, secon
         yield "  measures"
         for name, value in results.measures.items():
             yield f"    {name.ljust(width)}  {measured(value)}"
+    if results.profile is not None:
+        yield f"  calls of FMUs, in {results.profile.seconds:.3g} s of the run"
+        yield str(results.profile)

@@ -26,6 +26,7 @@ from .run.saved_state import State
 
 if TYPE_CHECKING:
     from ..fmi.loading import Loaded
+    from ..fmi.trace import Tracer
     from .run.model_exchange import Foreigns
 
 _told: set[str] = set()
@@ -41,14 +42,15 @@ def simulation(
     model: Any = None,
     programs: Any = None,
     is_streamed: bool = False,
+    tracer: Tracer | None = None,
 ) -> Simulation:
     """A run, by an engine, that stands at its start, or where a saved one stood.
 
-    engine: "native", "reference", "auto" (the native one where there is a compiler and it can run this), or None: what
-    the environment says, else "auto". model: that of a Plan that differs in values alone, compiled; programs: those
-    that the reference engine has printed for such a one. is_streamed: its rows go to a file. Raises UsageError (E501)
-    where the native one is asked for and cannot run this, or (E311) where the run cannot fit into memory,
-    CompilerError (E60x) where it cannot be compiled, and what the run raises.
+    engine: "native", "reference", "auto" (the native one where there is a compiler and it can run this), or None:
+    what the environment says, else "auto". model: that of a Plan that differs in values alone, compiled; programs:
+    those that the reference engine has printed for such a one. is_streamed: its rows go to a file. tracer: of the
+    calls of its FMUs. Raises UsageError (E501) where the native one is asked for and cannot run this, or (E311)
+    where the run cannot fit into memory, CompilerError (E60x) where it cannot be compiled, and what the run raises.
     """
     try:
         name, why = _chosen(engine), why_not(what)
@@ -66,7 +68,7 @@ def simulation(
         native: Engine | None = None
         if name != "reference" and not why:
             try:
-                native = _native(what, inputs, model)
+                native = _native(what, inputs, model, tracer)
             except CompilerError as error:
                 fault = error.faults[0]
                 if name == "native" or fault.place == "$CC":  # it was asked for
@@ -75,7 +77,7 @@ def simulation(
             else:
                 if model is None:
                     _tell_cache()
-        return Simulation(native or _reference(what, inputs, programs), progress=progress, state=state)
+        return Simulation(native or _reference(what, inputs, programs, tracer), progress=progress, state=state)
     except MemoryError:
         raise no_room(what.name, float(what.settings.start), 0.0) from None
 
@@ -99,33 +101,33 @@ def compiled_model(what: Plan | Coupling, *, engine: str | None = None, lanes: A
         return None
 
 
-def _native(what: Plan | Coupling, inputs: InputTable, model: Any) -> Engine:
+def _native(what: Plan | Coupling, inputs: InputTable, model: Any, tracer: Tracer | None) -> Engine:
     if isinstance(what, Coupling):
         from .master.native_master import NativeMaster, master_code
 
-        return NativeMaster(what, inputs, _loaded, master_code())
+        return NativeMaster(what, inputs, _loaded, master_code(), tracer)
     from .native.native_engine import NativeEngine
 
-    return NativeEngine(what, inputs, foreign=_foreigns(what), model=model)
+    return NativeEngine(what, inputs, foreign=_foreigns(what, tracer), model=model)
 
 
-def _reference(what: Plan | Coupling, inputs: InputTable, programs: Any) -> Engine:
+def _reference(what: Plan | Coupling, inputs: InputTable, programs: Any, tracer: Tracer | None) -> Engine:
     if isinstance(what, Coupling):
         from .master.master import ReferenceMaster
 
-        return ReferenceMaster(what, inputs, _loaded)
+        return ReferenceMaster(what, inputs, _loaded, tracer)
     from .reference.reference_engine import ReferenceEngine
 
-    return ReferenceEngine(what, inputs, compiled=programs, foreign=_foreigns(what))
+    return ReferenceEngine(what, inputs, compiled=programs, foreign=_foreigns(what, tracer))
 
 
-def _foreigns(plan: Plan) -> Foreigns | None:
+def _foreigns(plan: Plan, tracer: Tracer | None) -> Foreigns | None:
     """Its FMUs for Model Exchange. Which of them loaded before is remembered in the folder of the cache."""
     if not plan.foreign:
         return None
     from .run.model_exchange import Foreigns
 
-    return Foreigns.of(plan, of_user(), compiled)
+    return Foreigns.of(plan, of_user(), compiled, tracer)
 
 
 def _chosen(engine: str | None) -> str:

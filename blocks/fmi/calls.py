@@ -24,7 +24,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..text.errors import Fault, FMUError
 from .callbacks import Called, callbacks_of_2, callbacks_of_3
@@ -33,6 +33,9 @@ from .library import function, lacks, unload
 from .model_description import Description, Interface
 from .patience import patient, undisturbed
 from .types import call_of, full_name
+
+if TYPE_CHECKING:
+    from .trace import Traced
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 WORDS = ("ok", "a warning", "discard", "an error", "a fatal error", "pending")
@@ -121,13 +124,22 @@ class Running(Called):
     """One instance: what the classes of FMPy are made of here. Made by `running`.
 
     component: the instance, None before and after. t: of the last call, in s. intermediate: called in a step of FMI 3.
+    traced: the shims of its functions, which take a component of their own; None: it has none.
     """
 
     _call_type: type
 
-    def __init__(self, binding: Binding, name: str, place: str, listener: Callable[[Message], None] | None) -> None:
+    def __init__(
+        self,
+        binding: Binding,
+        name: str,
+        place: str,
+        listener: Callable[[Message], None] | None,
+        traced: Traced | None,
+    ) -> None:
         super().__init__(name)
-        self.binding, self.place, self.listener = binding, place, listener
+        self.binding, self.place, self.listener, self.traced = binding, place, listener, traced
+        self.functions = binding.functions if traced is None else {}
         # What FMPy's methods read.
         self.guid = binding.description.token
         self.modelIdentifier = binding.interface.identifier
@@ -165,11 +177,10 @@ class Running(Called):
 
     def status(self, name: str, *arguments: object) -> int:
         """What a function returns, whatever it means. Raises FMUError (E208; E213 after a fatal error)."""
-        binding = self.binding
         if self.is_lost:
             message = f"{name} of {self.place} cannot be called: an instance of the FMU has reported a fatal error."
             raise FMUError(Fault("E213", self.name, message, "Begin a new run."))
-        c_function = binding.functions.get(name) or binding.bind(name, self._call_type)
+        c_function = self.functions.get(name) or self._bound(name)
         self.said_before = self.said
         try:
             if name.endswith(_LONG):
@@ -186,6 +197,21 @@ class Running(Called):
             error_inside, self.raised = self.raised, None
             raise error_inside
         return result  # type: ignore[no-any-return]
+
+    def _bound(self, name: str) -> Any:
+        """The function, looked up. Raises FMUError (E208)."""
+        c_function = self.binding.functions.get(name) or self.binding.bind(name, self._call_type)
+        if self.traced is not None:
+            arguments = [*inspect.signature(getattr(self._call_type, name)).parameters][1:]
+            c_function = self.functions[name] = self.traced.function(name, c_function, arguments)
+        return c_function
+
+    def address(self, name: str) -> int:
+        """The address of a function, for calls from compiled code. Raises FMUError (E208)."""
+        c_function = function(self.binding.library, name, self.place)
+        address = ctypes.cast(c_function, ctypes.c_void_p).value
+        assert address is not None
+        return address if self.traced is None else self.traced.address(name, address)
 
     def _call(self, name: str, *arguments: object) -> Any:
         """What FMPy's methods call. Raises FMUError where the status is neither ok nor a warning."""
@@ -206,7 +232,7 @@ class Running(Called):
         self.has_failed = True
         if status == FATAL:
             self.lose()
-            if ended := self._ended(self.component):
+            if ended := self._ended(self.component if self.traced is None else self.traced.component):
                 message = f"{self.place}{self.when}: {ended.message}{self.words(ended.message)}"
                 raise FMUError(replace(ended, place=self.name, message=message))
         said = self.messages[-1].text if self.messages and self.binding.isolated is not None else ""
@@ -305,9 +331,10 @@ class Running(Called):
             self._only_failures()
 
     def _only_failures(self) -> None:
-        """Ask for messages about failures only, where the FMU can separate them from others."""
+        """Ask for messages about failures and those for a trace, where the FMU can separate them from others."""
         names = [category.name for category in self.binding.description.categories]
-        wanted = [name.encode() for name in names if name in _FAILURES]
+        asked = _FAILURES if self.traced is None else (*_FAILURES, *self.traced.categories)
+        wanted = [name.encode() for name in names if name in asked]
         if wanted and len(wanted) < len(names):
             array = (ctypes.c_char_p * len(wanted))(*wanted)
             with contextlib.suppress(FMUError):
@@ -354,6 +381,8 @@ class Running(Called):
         message = Message(status, (category or b"").decode("utf-8", "replace"), plain, self.t)
         self.messages.append(message)
         self.said += 1
+        if self.traced is not None:
+            self.traced.message(status, message.category, plain)
         if self.listener is not None:
             self.listener(message)
 
@@ -384,9 +413,15 @@ def _type_of(fmi: int, kind: str) -> type:
     return type(f"Running{fmi}{kind}", (Running, fmpy_class), {"_call_type": fmpy_class, "fmi": fmi})
 
 
-def running(binding: Binding, name: str, place: str, listener: Callable[[Message], None] | None = None) -> Any:
+def running(
+    binding: Binding,
+    name: str,
+    place: str,
+    listener: Callable[[Message], None] | None = None,
+    traced: Traced | None = None,
+) -> Any:
     """An instance that is yet to begin: a class of FMPy with the methods of `Running`."""
-    return _type_of(binding.description.fmi, binding.interface.kind)(binding, name, place, listener)
+    return _type_of(binding.description.fmi, binding.interface.kind)(binding, name, place, listener, traced)
 
 
 WITHOUT = "without it, the FMU handles its events inside steps"

@@ -28,15 +28,18 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from operator import index
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from ..text.errors import Fault, FMUError, SimulationError, UsageError
 from . import calls
 from .calls import Message, Running, running
-from .library import claimed, function
+from .library import claimed
 from .loading import Loaded
 from .model_description import ModelVariable
 from .types import FLOATS, c_type, call_of, full_name, limits_of
+
+if TYPE_CHECKING:
+    from .trace import Tracer
 
 PATIENCE = 10.0
 """s; how long a step may stay pending."""
@@ -105,7 +108,7 @@ class Instance:
     is when the step shall end, None: not before its end. intermediate_variables: what it sets and reads. update: the
     address of a function of compiled code in its place.
     log: is given each message; with it the FMU is asked for all messages, else for those about failures.
-    timeout: s; how long a step may stay pending.
+    timeout: s; how long a step may stay pending. tracer: of the run, which may trace its calls.
 
     Raises:
         FMUError: E211 where there can be one only, E212 where the FMU gives no instance, E208 for a missing function.
@@ -123,13 +126,15 @@ class Instance:
         update: int = 0,
         log: Callable[[Message], None] | None = None,
         timeout: float = PATIENCE,
+        tracer: Tracer | None = None,
     ) -> None:
         binding = loaded.binding
         self.name, self.place, self.timeout = name, loaded.place, timeout
         self.description, self.interface = binding.description, binding.interface
         self.fmi, self.kind = self.description.fmi, self.interface.kind
         self.event_mode, self.early_return = event_mode, early_return
-        self._raw: Any = running(binding, name, loaded.place, log)
+        traced = None if tracer is None else tracer.of(name, self.description)
+        self._raw: Any = running(binding, name, loaded.place, log, traced)
         self._sizes: dict[str, int] = {}
         self._plans: dict[int, tuple[tuple[ModelVariable, ...], list[_VariableGroup], int]] = {}
         self._flags: Any = [ctypes.c_bool() for _ in range(5)]
@@ -162,10 +167,7 @@ class Instance:
 
     def address(self, name: str) -> int:
         """The address of the function that FMI 3 calls so, as "DoStep". Raises FMUError (E208)."""
-        library = self._alive().binding.library
-        address = ctypes.cast(function(library, full_name(name, self.fmi), self.place), ctypes.c_void_p).value
-        assert address is not None
-        return address
+        return self._alive().address(full_name(name, self.fmi))  # type: ignore[no-any-return]
 
     @property
     def messages(self) -> tuple[Message, ...]:

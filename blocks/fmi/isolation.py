@@ -79,8 +79,9 @@ def isolated(
     order = libraries.with_neighbors(path, place)
     folder = folder or path.parent.with_name(f"{path.parent.name}-isolated")
     try:
-        proxy = compiled(_texts("proxy.c", f"proxy{fmi}.c"), _headers(), program=False).read_bytes()
-        program = compiled(_texts("host.c", "host2.c", "host3.c"), _headers(), program=True).read_bytes()
+        headers = packaged_headers()
+        proxy = compiled(packaged_texts("proxy.c", f"proxy{fmi}.c"), headers, program=False).read_bytes()
+        program = compiled(packaged_texts("host.c", "host2.c", "host3.c"), headers, program=True).read_bytes()
     except CompilerError as error:
         raise CompilerError(*(_told(fault, place) for fault in error.faults)) from None
     # Named by its digest: the loader takes libraries of one name for the same.
@@ -133,12 +134,14 @@ def failure(said: str, path: Path, place: str) -> Fault:
 
 
 @functools.cache
-def _texts(*names: str) -> Mapping[str, str]:
+def packaged_texts(*names: str) -> Mapping[str, str]:
+    """Return C texts of this package, by their names."""
     return {name: (_HERE / name).read_text(encoding="utf-8") for name in names}
 
 
 @functools.cache
-def _headers() -> Mapping[str, str]:
+def packaged_headers() -> Mapping[str, str]:
+    """Return all headers of this package, by their names."""
     return {path.name: path.read_text(encoding="utf-8") for path in sorted(_HERE.glob("*.h"))}
 
 

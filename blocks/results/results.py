@@ -22,6 +22,7 @@ from ..text.printable import counted, quoted
 from ..text.rich_output import Part, Shown, Table, as_html, as_text
 from . import files
 from .arrow import Stored
+from .profile import Profile
 from .provenance import Origin
 from .step_info import step_info
 from .table import FileTable, optional, unique
@@ -206,8 +207,8 @@ class Results(Guided, Shown):
     (`every`) only where `jumps` asks for it. measures: values by name (NaN where the run does not cover the window).
     events: all that fired, in order. interrupted: stopped by Ctrl-C. origin: what was run, where that is known.
     warnings: of FMUs while they ran, why measures have no value, what was not detected, and what differs from the
-    state that the run continued. between: how the signals go between the rows, for figures; a pickle has none. The
-    arrays cannot be changed; take a copy.
+    state that the run continued. between: how the signals go between the rows, for figures; a pickle has none.
+    profile: how long the calls of FMUs took, if the run measured it. The arrays cannot be changed; take a copy.
     """
 
     diagram: str
@@ -221,6 +222,7 @@ class Results(Guided, Shown):
     origin: Origin | None = None
     warnings: tuple[Fault, ...] = ()
     between: Between | None = field(default=None, compare=False)
+    profile: Profile | None = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "between": None}

@@ -20,6 +20,7 @@ from ...compile.plan import Reference
 from ...fmi.exits import Ended
 from ...fmi.loading import Loaded
 from ...fmi.patience import patient, undisturbed
+from ...fmi.trace import Tracer
 from ...results.results import Event, Statistics
 from ...text.arrays import Array
 from ...text.errors import BlocksError, Fault, UsageError
@@ -38,13 +39,19 @@ Row = tuple[float, ...]
 class CoupledRun(Exchange, ABC):
     """One run of a Coupling under way, as `engines.run.engine.Engine` defines it.
 
-    open_unit: gives the loaded FMU of a unit.
+    open_unit: gives the loaded FMU of a unit. tracer: of the calls of its FMUs.
     """
 
     name: str
 
-    def __init__(self, coupling: Coupling, inputs: InputTable, open_unit: Callable[[Any], Loaded]) -> None:
-        self.open_unit = open_unit
+    def __init__(
+        self,
+        coupling: Coupling,
+        inputs: InputTable,
+        open_unit: Callable[[Any], Loaded],
+        tracer: Tracer | None = None,
+    ) -> None:
+        self.open_unit, self.tracer = open_unit, tracer
         super().__init__(coupling, inputs)
 
     def _clear(self) -> None:

@@ -65,9 +65,9 @@ class ReferenceMaster(CoupledRun):
 
     def _unit(self, unit: CoupledUnit) -> Running:
         if unit.plan is not None:
-            return PlanUnit(unit, self.plan.seen[self.plan.units.index(unit)])
+            return PlanUnit(unit, self.plan.seen[self.plan.units.index(unit)], self.tracer)
         with self.open_unit(unit) as loaded:
-            return FmuUnit(unit, loaded, self.plan)
+            return FmuUnit(unit, loaded, self.plan, tracer=self.tracer)
 
     def _begin(self) -> None:
         self.evaluate(self.t)

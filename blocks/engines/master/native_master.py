@@ -26,6 +26,7 @@ from ...fmi.calls import ASKED, WARNING
 from ...fmi.instance import PATIENCE, some
 from ...fmi.loading import Loaded
 from ...fmi.patience import patient
+from ...fmi.trace import Tracer
 from ...fmi.types import full_name
 from ...host.available_memory import for_recording
 from ...results.results import Event
@@ -94,14 +95,14 @@ def _calls(addresses: Mapping[int, int]) -> Any:
 class CoreUnit(Running):
     """Blocks with equations as a native run, whose inputs the master gives."""
 
-    def __init__(self, unit: CoupledUnit) -> None:
+    def __init__(self, unit: CoupledUnit, tracer: Tracer | None) -> None:
         from ..native.native_engine import NativeEngine  # FMUs alone need none
 
         assert unit.plan is not None
         self.unit, self.plan, self.u = unit, unit.plan, []
         n = len(unit.links)
         tracks = (Track(np.zeros(1), np.zeros((1, n)), False),) if n else ()
-        self.engine = NativeEngine(self.plan, InputTable(tracks), foreign=foreigns(self.plan), is_silent=True)
+        self.engine = NativeEngine(self.plan, InputTable(tracks), foreign=foreigns(self.plan, tracer), is_silent=True)
         self.row = self.engine.tracks[1] if n else np.zeros((1, 1))
         self.can_save = not (self.plan.steppers or self.plan.foreign)
         self.engine.sim.keeps_past = 1
@@ -151,11 +152,16 @@ class NativeMaster(CoupledRun):
     name = "native"
 
     def __init__(
-        self, coupling: Coupling, inputs: InputTable, open_unit: Callable[[Any], Loaded], code: Code
+        self,
+        coupling: Coupling,
+        inputs: InputTable,
+        open_unit: Callable[[Any], Loaded],
+        code: Code,
+        tracer: Tracer | None = None,
     ) -> None:
         self._c: Any = None
         self.code, self.library = code, code.library
-        super().__init__(coupling, inputs, open_unit)
+        super().__init__(coupling, inputs, open_unit, tracer)
         # Compiled here, and kept, so that a compiler that fails does so before anything runs.
         self.models = [self._model(unit.plan) for unit in coupling.units if unit.plan is not None]
 
@@ -183,10 +189,10 @@ class NativeMaster(CoupledRun):
 
     def _unit(self, unit: CoupledUnit) -> Running:
         if unit.plan is not None:
-            return CoreUnit(unit)
+            return CoreUnit(unit, self.tracer)
         with self.open_unit(unit) as loaded:
             update = ctypes.cast(self.library.master_intermediate, _P).value or 0
-            return FmuUnit(unit, loaded, self.plan, update=update)
+            return FmuUnit(unit, loaded, self.plan, update=update, tracer=self.tracer)
 
     # --- what C reads: a Place of MasterTables -------------------------------------------------------------------
 

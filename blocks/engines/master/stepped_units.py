@@ -24,6 +24,7 @@ from ...compile.upstream import changed_by
 from ...fmi.instance import Instance, Saved, ended
 from ...fmi.loading import Loaded
 from ...fmi.model_description import ModelVariable
+from ...fmi.trace import Tracer
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
 from ..run.model_exchange import Foreigns
@@ -127,21 +128,21 @@ class _Inputs:
         return math.inf
 
 
-def foreigns(plan: Plan) -> Foreigns:
+def foreigns(plan: Plan, tracer: Tracer | None) -> Foreigns:
     """The FMUs for Model Exchange among blocks with equations."""
-    return Foreigns.of(plan, of_user(), compiled) if plan.foreign else Foreigns()
+    return Foreigns.of(plan, of_user(), compiled, tracer) if plan.foreign else Foreigns()
 
 
 class PlanUnit(Running):
     """Blocks with equations: a run of their Plan, whose inputs the master gives."""
 
-    def __init__(self, unit: CoupledUnit, seen: frozenset[Reference]) -> None:
+    def __init__(self, unit: CoupledUnit, seen: frozenset[Reference], tracer: Tracer | None = None) -> None:
         from ..reference.reference_engine import ReferenceEngine  # FMUs alone need none
 
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan
         self.u = [0.0] * len(unit.links)
-        self.engine = ReferenceEngine(self.plan, InputTable(()), foreign=foreigns(self.plan), is_silent=True)
+        self.engine = ReferenceEngine(self.plan, InputTable(()), foreign=foreigns(self.plan, tracer), is_silent=True)
         self.given = self.engine.compiled.program("given", unit.references)
         self.can_save = not self.plan.steppers and self.engine.instants.foreign.can_go_back
         self.has_begun = False
@@ -343,7 +344,15 @@ class FmuUnit(Running):
     over: Fault | None = None  # nothing is set in it once it has ended the run
     begins = False  # it has left initialization, and is in event mode until its turn in the instant at the start
 
-    def __init__(self, unit: CoupledUnit, loaded: Loaded, coupling: Coupling, *, update: int = 0) -> None:
+    def __init__(
+        self,
+        unit: CoupledUnit,
+        loaded: Loaded,
+        coupling: Coupling,
+        *,
+        update: int = 0,
+        tracer: Tracer | None = None,
+    ) -> None:
         assert unit.foreign is not None
         self.unit, self.coupling = unit, coupling
         self.interface = unit.foreign.interface
@@ -361,7 +370,7 @@ class FmuUnit(Running):
             loaded, unit.path, event_mode=self.interface.event_mode,
             early_return=self.interface.event_mode and self.interface.any_step,  # else no step of it is cut
             intermediate=intermediate, intermediate_variables=[slot.variable for slot in self.moving],
-            update=update if is_asked else 0,
+            update=update if is_asked else 0, tracer=tracer,
         )  # fmt: skip
         # What is set as a step begins: what is discrete can be set in event mode only, where there is one.
         self.stepped = self.moving if self.interface.event_mode else list(unit.slots_in)

@@ -23,6 +23,7 @@ from ...fmi.isolation import CompileC
 from ...fmi.library import Notes
 from ...fmi.loading import open_fmu
 from ...fmi.model_description import ModelVariable
+from ...fmi.trace import Tracer
 from ...text.arrays import Array
 from ...text.errors import Fault, FMUError, SimulationError, UsageError
 from .fmu_derivatives import FmuDerivatives
@@ -38,10 +39,15 @@ class ModelExchangeUnit(FmuDerivatives):
     """One FMU of one run. Its instance is there from `begin` or `restore` on."""
 
     def __init__(
-        self, plan: Plan, part: ForeignPart, notes: Notes | None = None, compiled: CompileC | None = None
+        self,
+        plan: Plan,
+        part: ForeignPart,
+        notes: Notes | None = None,
+        compiled: CompileC | None = None,
+        tracer: Tracer | None = None,
     ) -> None:
         super().__init__(plan, part)
-        self.settings, self.notes, self.compiled = plan.settings, notes, compiled
+        self.settings, self.notes, self.compiled, self.tracer = plan.settings, notes, compiled, tracer
         self.held = [
             k
             for (_, first, size), is_held in zip(self.variables, self.is_held, strict=True)
@@ -86,7 +92,7 @@ class ModelExchangeUnit(FmuDerivatives):
         if foreign.isolate:
             own = {"isolate": True, "timeout": foreign.timeout, "compiled": self.compiled}
         with open_fmu(foreign.path, "ME", notes=self.notes, **own) as loaded:
-            self.instance = Instance(loaded, self.part.path)
+            self.instance = Instance(loaded, self.part.path, tracer=self.tracer)
         return self.instance
 
     def close(self) -> None:
@@ -352,10 +358,16 @@ class Foreigns:
         self.units = tuple(units)
 
     @classmethod
-    def of(cls, plan: Plan, notes: Notes | None = None, compiled: CompileC | None = None) -> Foreigns:
+    def of(
+        cls,
+        plan: Plan,
+        notes: Notes | None = None,
+        compiled: CompileC | None = None,
+        tracer: Tracer | None = None,
+    ) -> Foreigns:
         """The FMUs of a Plan. notes: where it is remembered which libraries loaded. compiled: what compiles the
-        processes of isolated FMUs."""
-        return cls([ModelExchangeUnit(plan, part, notes, compiled) for part in plan.foreign])
+        processes of isolated FMUs. tracer: of the run."""
+        return cls([ModelExchangeUnit(plan, part, notes, compiled, tracer) for part in plan.foreign])
 
     def __len__(self) -> int:
         return len(self.units)

@@ -1,7 +1,7 @@
 /* How the functions of the standard go to another process. calls2.h and calls3.h are lists of them, CALLS(C), of
    entries C(name, arguments): the name without its prefix, and the arguments behind the instance in their order. From
-   these lists come the functions of proxy2.c and proxy3.c, and the calls of host2.c and host3.c. k is the place of an
-   argument in the frame of the call:
+   these lists come the functions of proxy2.c and proxy3.c, the calls of host2.c and host3.c, and the shims of trace2.c
+   and trace3.c. k is the place of an argument in the frame of the call:
 
        NUMBER(k, type, name)           a whole number, a truth value or an enumeration: n[k]
        REAL(k, name)                   x[k]
@@ -18,9 +18,11 @@
 #ifndef BLOCKS_CALLS_H
 #define BLOCKS_CALLS_H
 
+#ifndef BLOCKS_TRACE_H /* which gives the numbers of functions by itself: it needs no other process */
 #include "channel.h"
 
 enum { TEXTS = NUMBERS - 1 };
+#endif
 
 #define CALL_NUMBER(name, ...) CALL_##name,
 enum { CALLS_BEFORE = FIRST_FUNCTION - 1, OTHERS(CALL_NUMBER) CALLS(CALL_NUMBER) CALLS_END };

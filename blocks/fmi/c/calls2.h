@@ -33,14 +33,14 @@
       NUMBER(1, size_t, nKnown), IN(2, fmi2Real, dvKnown, nKnown), OUT(3, fmi2Real, dvUnknown, nUnknown))          \
     C(EnterEventMode, NONE) C(NewDiscreteStates, OUT(0, fmi2EventInfo, eventInfo, 1))                              \
     C(EnterContinuousTimeMode, NONE)                                                                               \
-    C(CompletedIntegratorStep, NUMBER(0, fmi2Boolean, isFinal), OUT(0, fmi2Boolean, enterEventMode, 1),            \
+    C(CompletedIntegratorStep, NUMBER(0, fmi2Boolean, noSetFMUStatePriorToCurrentPoint), OUT(0, fmi2Boolean, enterEventMode, 1),            \
       OUT(1, fmi2Boolean, terminateSimulation, 1))                                                                 \
     C(SetTime, REAL(0, time)) C(SetContinuousStates, IN(0, fmi2Real, x, nx), NUMBER(0, size_t, nx))                \
     GET_REALS(C, GetDerivatives) GET_REALS(C, GetEventIndicators) GET_REALS(C, GetContinuousStates)                \
     GET_REALS(C, GetNominalsOfContinuousStates)                                                                    \
     C(SetRealInputDerivatives, REFERENCES(vr, nvr), IN(1, fmi2Integer, order, nvr), IN(2, fmi2Real, value, nvr))   \
     C(GetRealOutputDerivatives, REFERENCES(vr, nvr), IN(1, fmi2Integer, order, nvr), OUT(2, fmi2Real, value, nvr)) \
-    C(DoStep, REAL(0, point), REAL(1, size), NUMBER(0, fmi2Boolean, isFinal)) C(CancelStep, NONE)                  \
+    C(DoStep, REAL(0, t), REAL(1, h), NUMBER(0, fmi2Boolean, noSetFMUStatePriorToCurrentPoint)) C(CancelStep, NONE)                  \
     ASK(C, GetStatus, fmi2Status) ASK(C, GetRealStatus, fmi2Real) ASK(C, GetIntegerStatus, fmi2Integer)            \
     ASK(C, GetBooleanStatus, fmi2Boolean)                                                                          \
     C(GetStringStatus, NUMBER(0, fmi2StatusKind, s), TEXTS_OUT(0, "string", value, 1))

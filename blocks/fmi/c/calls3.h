@@ -46,7 +46,7 @@
       OUT(2, fmi3Boolean, nominalsChanged, 1), OUT(3, fmi3Boolean, valuesChanged, 1),                              \
       OUT(4, fmi3Boolean, nextTimeDefined, 1), OUT(5, fmi3Float64, nextTime, 1))                                   \
     C(EnterContinuousTimeMode, NONE)                                                                               \
-    C(CompletedIntegratorStep, NUMBER(0, fmi3Boolean, isFinal), OUT(0, fmi3Boolean, enterEventMode, 1),            \
+    C(CompletedIntegratorStep, NUMBER(0, fmi3Boolean, noSetFMUStatePriorToCurrentPoint), OUT(0, fmi3Boolean, enterEventMode, 1),            \
       OUT(1, fmi3Boolean, terminateSimulation, 1))                                                                 \
     C(SetTime, REAL(0, time)) C(SetContinuousStates, IN(0, fmi3Float64, x, nx), NUMBER(0, size_t, nx))             \
     GET_REALS(C, GetContinuousStateDerivatives) GET_REALS(C, GetEventIndicators) GET_REALS(C, GetContinuousStates) \
@@ -55,8 +55,8 @@
     C(EnterStepMode, NONE)                                                                                         \
     C(GetOutputDerivatives, REFERENCES(vr, nvr), IN(1, fmi3Int32, orders, nvr), OUT(2, fmi3Float64, values, n),    \
       NUMBER(1, size_t, n))                                                                                        \
-    C(DoStep, REAL(0, point), REAL(1, size), NUMBER(0, fmi3Boolean, isFinal), OUT(0, fmi3Boolean, needsEvent, 1),  \
-      OUT(1, fmi3Boolean, terminateSimulation, 1), OUT(2, fmi3Boolean, earlyReturn, 1), OUT(3, fmi3Float64, last, 1))
+    C(DoStep, REAL(0, t), REAL(1, h), NUMBER(0, fmi3Boolean, noSetFMUStatePriorToCurrentPoint), OUT(0, fmi3Boolean, eventHandlingNeeded, 1),  \
+      OUT(1, fmi3Boolean, terminateSimulation, 1), OUT(2, fmi3Boolean, earlyReturn, 1), OUT(3, fmi3Float64, lastSuccessfulTime, 1))
 
 #include "calls.h"
 

@@ -43,25 +43,25 @@ static const char *name_of(int function)
 /* The arguments, by their names. */
 #define TAKE_NUMBER(k, type, name) const type name = (type)f->n[k];
 #define TAKE_REAL(k, name) const double name = f->x[k];
-#define TAKE_IN(k, type, name, count) const type *name = host_array(h, f, (k));
-#define TAKE_OUT(k, type, name, count) type *name = host_array(h, f, (k));
-#define TAKE_TEXTS_IN(k, what, name, count)                   \
-    const char **name = host_strings(h, f, (k), f->n[TEXTS]); \
-    if (!name)                                                \
+#define TAKE_IN(k, type, name, count) const type *name = host_array(host, f, (k));
+#define TAKE_OUT(k, type, name, count) type *name = host_array(host, f, (k));
+#define TAKE_TEXTS_IN(k, what, name, count)                      \
+    const char **name = host_strings(host, f, (k), f->n[TEXTS]); \
+    if (!name)                                                   \
         return STATUS_ERROR;
 #define TAKE_TEXTS_OUT(k, what, name, count)                   \
     const char **name = calloc(f->n[TEXTS] + 1, sizeof *name); \
     if (!name)                                                 \
         return STATUS_ERROR;
-#define TAKE_STATE(k, name)            \
-    void *name = NULL;                 \
-    if (host_state(h, f->n[k], &name)) \
-        return host_without_state(h);
-#define TAKE_STATE_INOUT(k, name)                \
-    uint64_t *number = host_array(h, f, (k));    \
-    void *kept = NULL, **name = &kept;           \
-    if (!number || host_state(h, *number, name)) \
-        return host_without_state(h);
+#define TAKE_STATE(k, name)               \
+    void *name = NULL;                    \
+    if (host_state(host, f->n[k], &name)) \
+        return host_without_state(host);
+#define TAKE_STATE_INOUT(k, name)                   \
+    uint64_t *number = host_array(host, f, (k));    \
+    void *kept = NULL, **name = &kept;              \
+    if (!number || host_state(host, *number, name)) \
+        return host_without_state(host);
 #define TAKE_NONE
 
 #define GIVE_NUMBER(k, type, name) , name
@@ -79,22 +79,22 @@ static const char *name_of(int function)
 #define LEAVE_IN(k, type, name, count)
 #define LEAVE_OUT(k, type, name, count)
 #define LEAVE_TEXTS_IN(k, what, name, count) free(name);
-#define LEAVE_TEXTS_OUT(k, what, name, count)                                                                  \
-    if ((status == STATUS_OK || status == STATUS_WARNING) && host_leave_strings(h, f, (k), name, f->n[TEXTS])) \
-        status = STATUS_ERROR;                                                                                 \
+#define LEAVE_TEXTS_OUT(k, what, name, count)                                                                     \
+    if ((status == STATUS_OK || status == STATUS_WARNING) && host_leave_strings(host, f, (k), name, f->n[TEXTS])) \
+        status = STATUS_ERROR;                                                                                    \
     free(name);
 #define LEAVE_STATE(k, name)
-#define LEAVE_STATE_INOUT(k, name) *number = host_keep(h, *number, kept);
+#define LEAVE_STATE_INOUT(k, name) *number = host_keep(host, *number, kept);
 #define LEAVE_NONE
 
-static int serve(Host *h, Frame *f)
+static int serve(Host *host, Frame *f)
 {
-    Fmu *fmu = h->fmu;
+    Fmu *fmu = host->fmu;
     const char *called = name_of(f->function);
     if (!called || !fmu->has[f->function])
-        return host_missing(h, called ? called : "?");
+        return host_missing(host, called ? called : "?");
     switch (f->function) {
-    case CALL_FreeInstance: fmu->FreeInstance(fmu->instance); h->is_over = 1; return STATUS_OK;
+    case CALL_FreeInstance: fmu->FreeInstance(fmu->instance); host->is_over = 1; return STATUS_OK;
 #define SERVE(name, ...)                                                     \
     case CALL_##name: {                                                      \
         EACH(TAKE_, __VA_ARGS__)                                             \
@@ -103,7 +103,7 @@ static int serve(Host *h, Frame *f)
         return status;                                                       \
     }
     CALLS(SERVE)
-    default: return instantiate(h, fmu, f);
+    default: return instantiate(host, fmu, f);
     }
 }
 
