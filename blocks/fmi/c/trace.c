@@ -404,9 +404,11 @@ static void put_value(BlocksTraceCall *call, const char *name, int kind, const v
     if (is_flag && n == 1 && !call->is_json && !(kind == KIND_fmi3Boolean ? *(const uint8_t *)values != 0 : *(const int *)values != 0)) return;
     int is_vector = is_one_of(name, " x ") || (is_one_of(name, " values ") && kind == KIND_fmi2Real);
     const char *function = one->functions[call->function];
-    if (is_vector && strstr(function, "State") && !strstr(function, "Nominals") && (int64_t)n == one->nstates && n <= MOST_VALUES) {
+    if (is_vector && (strstr(function, "State") || strstr(function, "GetDerivatives")) && !strstr(function, "Nominals") && (int64_t)n == one->nstates && n <= MOST_VALUES) {
+        char own[256];
         for (size_t i = 0; i < n && to->used < CROWDED; i++) {
-            put_label(call, one->states[i]);
+            snprintf(own, sizeof own, strstr(function, "Derivatives") ? "der(%s)" : "%s", one->states[i]);
+            put_label(call, own);
             put_element(to, kind, values, i, call->is_json);
         }
         return;
@@ -620,7 +622,7 @@ void *blocks_trace_shim(BlocksTraced *one, const char *function, void *original)
     if (!shim) return NULL;
     one->functions[shim->number] = shim->name;
     one->originals[shim->number] = original;
-    return shim->shim;
+    return *(void *const *)&shim->shim; /* POSIX and Windows allow it, C does not know of it */
 }
 
 void blocks_trace_making(BlocksTraced *one, const char *function, const char *const *given, int n)

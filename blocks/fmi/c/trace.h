@@ -105,7 +105,7 @@ void blocks_trace_state(BlocksTraceCall *call, const void *state);
 typedef struct {
     const char *name;
     int number;
-    void *shim;
+    void (*shim)(void);
 } BlocksTraceShim;
 const BlocksTraceShim *blocks_trace_shims2(void);
 const BlocksTraceShim *blocks_trace_shims3(void);

@@ -3,8 +3,8 @@
 #include "calls2.h"
 
 enum {
-    CALL_START = CALL_SetupExperiment, CALL_SAVE = CALL_GetFMUstate, CALL_RESTORE = CALL_SetFMUstate,
-    CALL_FREE = CALL_FreeFMUstate
+    CALL_START = CALL_SetupExperiment, CALL_SAVE = CALL_GetFMUstate, CALL_LOAD = CALL_DeSerializeFMUstate,
+    CALL_RESTORE = CALL_SetFMUstate, CALL_FREE = CALL_FreeFMUstate
 };
 #include "trace_calls.h"
 

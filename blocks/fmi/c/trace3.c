@@ -3,8 +3,8 @@
 #include "calls3.h"
 
 enum {
-    CALL_START = CALL_EnterInitializationMode, CALL_SAVE = CALL_GetFMUState, CALL_RESTORE = CALL_SetFMUState,
-    CALL_FREE = CALL_FreeFMUState
+    CALL_START = CALL_EnterInitializationMode, CALL_SAVE = CALL_GetFMUState, CALL_LOAD = CALL_DeserializeFMUState,
+    CALL_RESTORE = CALL_SetFMUState, CALL_FREE = CALL_FreeFMUState
 };
 #include "trace_calls.h"
 

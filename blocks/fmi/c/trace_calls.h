@@ -60,6 +60,7 @@ static void follow(BlocksTraced *one, const BlocksTraceCall *call, int status)
         else if (call->last == call->last) one->t = call->last;
         break;
     case CALL_SAVE:
+    case CALL_LOAD: /* whose time nobody says: that of the instance */
         while (at < TRACE_STATES - 1 && one->saved[at] && one->saved[at] != kept) at++;
         one->saved[at] = kept, one->saved_t[at] = one->t;
         break;
@@ -106,8 +107,8 @@ static void shim_FreeInstance(void *c)
     blocks_trace_end(&call, 0);
 }
 
-#define SHIM_ENTRY(called, ...) {FULL_NAME(called), CALL_##called, (void *)shim_##called},
-#define OTHER_ENTRY(called, ...) {FULL_NAME(called), CALL_##called, (void *)shim_FreeInstance},
+#define SHIM_ENTRY(called, ...) {FULL_NAME(called), CALL_##called, (void (*)(void))shim_##called},
+#define OTHER_ENTRY(called, ...) {FULL_NAME(called), CALL_##called, (void (*)(void))shim_FreeInstance},
 static const BlocksTraceShim shims[] = {OTHERS(OTHER_ENTRY) CALLS(SHIM_ENTRY){NULL, 0, NULL}};
 _Static_assert((int)CALLS_END <= (int)TRACE_FUNCTIONS, "an instance has too little room for its functions");
 
