@@ -26,7 +26,6 @@ from ..engines.run.differences import of_values
 from ..engines.run.engine import Engine
 from ..engines.run.saved_state import Kept, State, adapted, check, packed
 from ..engines.selection import simulation
-from ..fmi.trace import Tracer
 from ..host.gc_pause import paused
 from ..host.ipython_errors import UnknownName
 from ..host.progress_line import live_line
@@ -54,6 +53,7 @@ from .resting import standing_at
 from .streaming import Streaming, part_to_resume
 
 if TYPE_CHECKING:
+    from ..fmi.trace import Tracer
     from ..linear.operating_point import OperatingPoint
 
 FAR = 10**9
