@@ -54,17 +54,13 @@ def single_plan(flat: Flat) -> Plan:
     return plan(flat)
 
 
-def refuse_fmus(flat: Flat) -> None:
-    """Raise ModelError (E606) for a diagram that is to become an FMU, where FMUs are in it."""
-    inside = [block.path for block in flat.one_of_each if block.interface.declaration.foreign is not None]
-    if inside:
-        cure = "Choose a variant with equations, or export the diagram without this block."
-        raise ModelError(
-            *(
-                Fault("E606", path, "is an FMU, and an exported FMU cannot contain another FMU.", cure)
-                for path in inside
-            )
-        )
+def exportable(flat: Flat) -> Plan | Coupling:
+    """Return what a diagram becomes as an FMU; a Coupling computes all outputs."""
+    found = couple(flat)
+    if isinstance(found, Plan):
+        return found
+    outputs = tuple(name for name in flat.outputs if name not in flat.log)
+    return couple(replace(flat, log=(*flat.log, *outputs))) if outputs else found
 
 
 def checked(value: DiagramValue, resolver: Resolver, case: Case) -> Plan | Coupling:

@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
-from ..compile.plan_builder import plan
 from ..contract.block import Block
 from ..contract.enumerations import Enumeration
 from ..editing.swapping import diagrams_along, existing, swapped
@@ -61,7 +60,7 @@ from .case import (
     check_words,
     takes,
 )
-from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
+from .checks import checked, exportable, faults_beside, flat_of, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
 from .last_made import LastMade, names_files
@@ -863,10 +862,9 @@ class Diagram(Guided):
             check_name(name)
         value = taken(self.value, case.variants)
         flat = self.flatten(case)
-        refuse_fmus(flat)
         check_compilers(platforms)
         return export(
-            value, flat, plan(flat), path,
+            value, flat, exportable(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, version=__version__,
             drawing=self.draw(variants=case.variants) if len(value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip

@@ -163,7 +163,7 @@ class _Binder:
         names = self.open(root, 0, _Names({}, {}))
         ending = self.flat.ending
         while ending is not None and self.flat.blocks[self.index].resolved is not ending.resolved:
-            self.place += _sizes(self.flat.blocks[self.index])  # at the edges of subdiagrams
+            self.place += sizes_of(self.flat.blocks[self.index])  # at the edges of subdiagrams
             self.index += 1
         if ending is not None:
             self.block(ending, 0, names)
@@ -312,7 +312,7 @@ class _Binder:
             parameter, draft = late[key]
             self.default(block.resolved, parameter, draft, own, origins)
             own[key] = self.add(draft, None, leaf.fleet, lane)
-        self.place += _sizes(block)
+        self.place += sizes_of(block)
 
     def known(self, resolved: Resolved) -> tuple[tuple[Parameter, _Draft], ...]:
         """Return the settings of a block without its path and its place in p; equal blocks share them."""
@@ -369,7 +369,7 @@ class _Binder:
 
     def finished(self) -> tuple[Setting, ...]:
         settings: list[Setting] = []
-        rest = sum(map(_sizes, self.flat.blocks[self.index :]))
+        rest = sum(map(sizes_of, self.flat.blocks[self.index :]))
         assert self.plan is None or self.place + rest == len(self.plan.parameters)
         for draft in self.made:
             level, why = draft.level, f"{draft.cause}: {draft.why}" if draft.cause else draft.why
@@ -416,7 +416,7 @@ def _placed(program: Program, places: Sequence[int]) -> Program:
     return tuple(_copy(places[int(node.value)])[0] if node.op == "argument" else node for node in program)
 
 
-def _sizes(block: FlatBlock) -> int:
+def sizes_of(block: FlatBlock) -> int:
     """Return how many places in p a block has."""
     return sum(map(len, parameter_places(block.interface).values()))
 

@@ -108,6 +108,8 @@ class CoupledUnit:
     """The inputs that are read by what is computed at ticks."""
     follows: tuple[frozenset[Reference], ...] = ()
     """Of blocks with equations: for each output all memory that can ever change it, by `Upstream`."""
+    blocks: tuple[int, ...] = ()
+    """Of blocks with equations: their places in the flat diagram, in the order of their parameters."""
 
     @property
     def acts(self) -> bool:
@@ -603,6 +605,7 @@ class _Coupler:
                 island_plan.rates or island_plan.events or island_plan.crossings or island_plan.histories
             ),
             sampled=_sampled(island_plan), follows=tuple(upstream.of([reference]) for reference in references),
+            blocks=group,
         )  # fmt: skip
 
     def _island_flat(

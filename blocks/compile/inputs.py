@@ -102,7 +102,7 @@ class InputTable:
         return replace(self, tracks=(*self.tracks[:index], track, *self.tracks[index + 1 :]))
 
 
-def read_inputs(plan: Plan, raw: Mapping[str, object], *, interpolation: str = "linear") -> InputTable:
+def read_inputs(plan: Plan | Coupling, raw: Mapping[str, object], *, interpolation: str = "linear") -> InputTable:
     """The inputs of a run.
 
     raw: by input name a number, a list (vectors), a quantity, a (t, u) pair or (t, u, "hold" | "linear") triple, or

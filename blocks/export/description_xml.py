@@ -19,7 +19,7 @@ from itertools import count, product
 
 from ..text import units
 from ..text.errors import Fault, ModelError, UsageError
-from .fmu_model import Dependencies, ExportedVariable, Model
+from .fmu_model import Abilities, Dependencies, ExportedVariable, Model
 
 LOG_CATEGORIES = {
     "logEvents": "Events: ticks, crossings and event times",
@@ -102,8 +102,9 @@ def build_description(model: Model) -> str:
         raise UsageError(Fault("E501", model.name, "the model has no sources to describe."))
     files = tuple(_Element("SourceFile", {"name": name}) for name in model.sources)
     sources = _Element("SourceFileSet", {"language": "C11"}, files)
-    libm = _Element("Library", {"name": "m", "external": "true"})
-    configurations = [_Element("BuildConfiguration", {"modelIdentifier": model.identifier}, (sources, libm))]
+    needed = ("m",) if model.container is None else ("m", "dl")
+    libraries = [_Element("Library", {"name": name, "external": "true"}) for name in needed]
+    configurations = [_Element("BuildConfiguration", {"modelIdentifier": model.identifier}, (sources, *libraries))]
     # The one without a platform stands for all others, and comes first for importers that take the first.
     for platform in ("x86_64-windows", "aarch64-windows"):
         attributes = {"modelIdentifier": model.identifier, "platform": platform}
@@ -157,6 +158,9 @@ def _description(model: Model, fmi: int) -> _Element:
 
 def _interfaces(model: Model, fmi: int) -> Iterator[_Element]:
     """What the FMU can do, as Model Exchange and as Co-Simulation."""
+    if model.container is not None:
+        yield _container(model, model.container, fmi)
+        return
     state, derivatives = ("FMUstate", "Derivative") if fmi == 2 else ("FMUState", "Derivatives")
     common: dict[str, str | None] = {
         "modelIdentifier": model.identifier,
@@ -167,8 +171,7 @@ def _interfaces(model: Model, fmi: int) -> Iterator[_Element]:
         f"providesDirectional{derivatives}": "true",
         "providesAdjointDerivatives": "true" if fmi == 3 else None,
     }
-    files = tuple(_Element("File", {"name": name}) for name in model.sources)
-    sources = (_Element("SourceFiles", {}, files),) if fmi == 2 and files else ()
+    sources = _source_files(model, fmi)
     if "ME" in model.kinds:
         if fmi == 2:
             needs = {"completedIntegratorStepNotNeeded": _boolean(not model.needs_completed_step)}
@@ -189,6 +192,26 @@ def _interfaces(model: Model, fmi: int) -> Iterator[_Element]:
                 "hasEventMode": _boolean(model.has_events),
             }
         yield _Element("CoSimulation", {**common, **can}, sources)
+
+
+def _container(model: Model, can: Abilities, fmi: int) -> _Element:
+    """What an FMU with others inside can do, as Co-Simulation."""
+    state = "FMUstate" if fmi == 2 else "FMUState"
+    attributes: Attributes = {
+        "modelIdentifier": model.identifier,
+        "canBeInstantiatedOnlyOncePerProcess": "true" if can.once_per_process else None,
+        "canNotUseMemoryManagementFunctions": "true" if fmi == 2 else None,
+        f"canGetAndSet{state}": _boolean(can.saves),
+        f"canSerialize{state}": _boolean(can.serializes),
+        "canHandleVariableCommunicationStepSize": _boolean(can.any_step),
+        "fixedInternalStepSize": _number(model.step) if fmi == 3 and model.step and not can.any_step else None,
+    }
+    return _Element("CoSimulation", attributes, _source_files(model, fmi))
+
+
+def _source_files(model: Model, fmi: int) -> tuple[_Element, ...]:
+    files = tuple(_Element("File", {"name": name}) for name in model.sources)
+    return (_Element("SourceFiles", {}, files),) if fmi == 2 and files else ()
 
 
 # --- units and types ----
@@ -377,7 +400,8 @@ def _variable_3(variable: ExportedVariable, model: Model, types: Mapping[Members
     starts = _starts(variable)
     is_text = variable.type == "text"
     # What changes in between may be read and set there; nothing else may.
-    intermediate = "CS" in model.kinds and variable.variability == "continuous" and variable.causality != "independent"
+    is_moving = variable.variability == "continuous" and variable.causality != "independent"
+    intermediate = is_moving and "CS" in model.kinds and model.container is None
     attributes = {
         **_common(variable),
         "intermediateUpdate": "true" if intermediate else None,

@@ -21,13 +21,16 @@ from pathlib import Path
 import numpy as np
 
 from ..compile.bindings import bindings
+from ..compile.c.master_tables import master_files
 from ..compile.c.model_code import emit
 from ..compile.c.runtime_grid import why_not
 from ..compile.c.runtime_tables import RuntimeTables
 from ..compile.c.runtime_texts import RUNTIME, loop_units, packaged, stiff_units
+from ..compile.coupling import Coupling
 from ..compile.inputs import read_inputs
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
+from ..compile.tableaus import STIFF
 from ..compile.toolchain.compiler import TranslationUnit
 from ..compile.toolchain.platforms import check_compilers, folders, shared_library
 from ..contract.enumerations import resting
@@ -36,9 +39,10 @@ from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from .container import ContainerCode, ContainerVariables, InnerFmus, check_coupling, container_variables
 from .description_xml import build_description, model_description
 from .documentation import index_html
-from .fmu_model import Dependencies, Model
+from .fmu_model import Abilities, Dependencies, Model
 from .fmu_variables import Variables
 from .tables_code import tables_text
 from .variable_docs import doc_of, docs_of, prefix_of
@@ -87,7 +91,7 @@ def _counted(n: int, what: str) -> str:
 def export(
     value: DiagramValue,
     flat: Flat,
-    plan: Plan,
+    plan: Plan | Coupling,
     path: str | Path,
     *,
     fmi: int = 3,
@@ -109,7 +113,8 @@ def export(
         raise UsageError(Fault("E501", str(path), "the name of an FMU must end in .fmu."))
     allowed, notes = _allowed(plan, kinds)
     wanted = check_compilers(platforms)
-    fmu_files = _Made(_Order(value, flat, plan, fmi, allowed, name, version, drawing))
+    order = _Order(value, flat, plan, fmi, allowed, name, version, drawing)
+    fmu_files = _Made(order) if isinstance(plan, Plan) else _MadeContainer(order, plan, wanted)
     units = fmu_files.units()
     binaries = {platform: shared_library(platform, units) for platform in wanted}
     content = fmu_files.content(binaries)
@@ -131,13 +136,13 @@ def export(
     if not any(ports := (shown("input"), shown("output"))):
         notes += ("it has no inputs and no outputs, so it cannot be connected: add some (Diagram.output)",)
     settable = tuple(v.name for v in variables if v.causality == "parameter")
-    return Exported(Path(path), fmi, allowed, wanted, *ports, settable, len(plan.states), (*notes, *fmu_files.notes))
+    return Exported(Path(path), fmi, allowed, wanted, *ports, settable, fmu_files.states, (*notes, *fmu_files.notes))
 
 
 # --- what can be exported ----------------------------------------------------------------------------------------
 
 
-def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _allowed(plan: Plan | Coupling, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The kinds that are exported, and notes on those that cannot be. Raises UsageError, ModelError (E606)."""
     if isinstance(kinds, str):
         kinds = (kinds,)
@@ -147,6 +152,9 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], 
             raise UsageError(Fault("E501", "kinds", f"{kind!r} is not a kind of FMU.", cure))
     if kinds is not None and not kinds:
         raise UsageError(Fault("E501", "kinds", "an FMU needs at least one kind.", 'Kinds: "CS", "ME".'))
+    if isinstance(plan, Coupling):
+        check_coupling(plan, kinds)
+        return ("CS",), ()
     _check_contents(plan)
     if not plan.histories:
         return tuple(kind for kind in KINDS if kinds is None or kind in kinds), ()
@@ -181,7 +189,7 @@ class _Order:
 
     value: DiagramValue
     flat: Flat
-    plan: Plan
+    plan: Plan | Coupling
     fmi: int
     kinds: tuple[str, ...]
     name: str
@@ -192,8 +200,16 @@ class _Order:
 class _Made:
     """All files of an FMU but its binaries."""
 
+    own: tuple[str, ...] = ("model.c", "tables.c")
+    """The sources that are not the same for every diagram."""
+    notes: tuple[str, ...] = ()
+    states = 0
+    model: Model
+
     def __init__(self, order: _Order) -> None:
-        self.order, plan, fmi = order, order.plan, order.fmi
+        self.order, plan = order, order.plan
+        assert isinstance(plan, Plan)
+        self.states = len(plan.states)
         prefix = prefix_of(order.value, order.flat)
         settings = bindings(order.flat, plan)
         docs = docs_of(order.value, order.flat, prefix)
@@ -210,18 +226,29 @@ class _Made:
             kinds=sum({"ME": 1, "CS": 2}[kind] for kind in order.kinds), token=_TOKEN,
             dependencies={**outputs, **derivatives},
         )  # fmt: skip
-        self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c")}
+        self.sources = {"model.c": emitted.source, **_c_files("fmu.c")}
         self.sources |= packaged("runtime.c", "jacobian.c", *stiff_units(plan.settings.method))
         self.sources |= packaged(*loop_units(emitted.source))
-        self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h", "standard.h"), **standard_headers(fmi)}
+        self.headers: dict[str, str] = {}
+        names = self._completed()
+        self._signed(tables, self.described(variables, outputs, derivatives, names, bool(prefix)))
+
+    def _completed(self) -> tuple[str, ...]:
+        """Add the wrapper and what all need; return the names of all sources."""
+        fmi = self.order.fmi
+        self.sources |= _c_files(f"fmi{fmi}.c")
+        own = _c_files("fmu.h", "fmu_model.h", "fmu_values.h", "standard.h")
+        self.headers |= {**packaged(*RUNTIME), **own, **standard_headers(fmi)}
         # A part of the library: nothing but the functions of the standard is seen from outside.
         self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]
-        names = sorted((*self.sources, "tables.c"))
-        model = self.described(variables, outputs, derivatives, tuple(names), bool(prefix))
-        # The token identifies all contents but itself.
+        return tuple(sorted((*self.sources, "tables.c")))
+
+    def _signed(self, tables: str, model: Model) -> None:
+        """Take the tables and the model with a token that identifies all contents but itself."""
         digest = hashlib.sha256()
-        for part in (*(self.sources[name] for name in sorted(self.sources)), tables, model_description(model, fmi)):
+        for part in (*(self.sources[name] for name in sorted(self.sources)), tables):
             digest.update(part.encode())
+        digest.update(model_description(model, self.order.fmi).encode())
         text = digest.hexdigest()
         token = f"{{{text[:8]}-{text[8:12]}-{text[12:16]}-{text[16:20]}-{text[20:32]}}}"
         self.model = replace(model, token=token)
@@ -237,6 +264,7 @@ class _Made:
     ) -> Model:
         """What the description says."""
         order, plan = self.order, self.order.plan
+        assert isinstance(plan, Plan)
         settings, name = plan.settings, order.name or order.value.name
         doc = doc_of(order.value.doc)
         if is_alone and not doc:
@@ -263,9 +291,8 @@ class _Made:
         )
 
     def units(self) -> list[TranslationUnit]:
-        own = ("model.c", "tables.c")  # all others are the same for every diagram
         return [
-            TranslationUnit(name, text, self.headers, is_shared=name not in own)
+            TranslationUnit(name, text, self.headers, is_shared=name not in self.own)
             for name, text in sorted(self.sources.items())
         ]
 
@@ -281,6 +308,70 @@ class _Made:
         for folder, suffix, library in folders(binaries, self.order.fmi):
             files[f"binaries/{folder}/{self.model.identifier}{suffix}"] = library
         return files
+
+
+class _MadeContainer(_Made):
+    """The same of a diagram with FMUs for Co-Simulation inside."""
+
+    def __init__(self, order: _Order, coupling: Coupling, platforms: Sequence[str]) -> None:
+        self.order, self.inner = order, InnerFmus(coupling)
+        self.inner.check_platforms(platforms)
+        self.states = sum(len(unit.plan.states) for unit in coupling.units if unit.plan is not None)
+        docs = docs_of(order.value, order.flat, "")
+        variables = container_variables(order.flat, coupling, _starts(coupling), docs)
+        code = ContainerCode(order.value, order.flat, coupling, self.inner, variables)
+        dependencies = variables.outside()
+        tables = code.text(token=_TOKEN, dependencies=dependencies)
+        self.own = (*code.models, "tables.c")
+        master = master_files()
+        self.sources = {**code.models, **_c_files("container.c", "inner_fmu.c"), "master.c": master["master.c"]}
+        self.sources |= packaged("runtime.c")
+        plans = [unit.plan for unit in coupling.units if unit.plan is not None]
+        for plan in plans:
+            self.sources |= packaged(*stiff_units(plan.settings.method))
+        if any(plan.settings.method in STIFF for plan in plans):
+            self.sources |= packaged("jacobian.c")
+        for text in code.models.values():
+            self.sources |= packaged(*loop_units(text))
+        self.headers = {name: text for name, text in master.items() if name.endswith(".h")} | _c_files("container.h")
+        names = self._completed()
+        self._signed(tables, self._container(coupling, variables, dependencies, names, code))
+        self.notes = tuple(variables.notes)
+
+    def _container(
+        self, coupling: Coupling, variables: ContainerVariables, dependencies: Dependencies, names: tuple[str, ...],
+        code: ContainerCode,
+    ) -> Model:  # fmt: skip
+        order, settings = self.order, coupling.settings
+        name = order.name or order.value.name
+        foreign = [unit.foreign for _, unit in self.inner.units if unit.foreign is not None]
+        step = settings.every if settings.every is not None else coupling.shortest
+        return Model(
+            name=name,
+            identifier=re.sub(r"\W", "_", name, flags=re.ASCII),
+            token=_TOKEN,
+            doc=doc_of(order.value.doc),
+            version=order.version,
+            kinds=order.kinds,
+            variables=tuple(variables.all),
+            outputs=dependencies,
+            derivatives={},
+            initial_unknowns=variables.initial_unknowns(),
+            start=float(settings.start),
+            stop=None if settings.stop is None else float(settings.stop),
+            tolerance=settings.rtol if settings.gives_rtol else None,
+            step=float(step),
+            has_events=False,
+            sources=names,
+            container=Abilities(
+                code.saves, code.serializes, not any(unit.is_rigid for unit in coupling.units),
+                any(one.interface.once_per_process for one in foreign),
+            ),
+            inside=tuple(self.inner.told()),
+        )  # fmt: skip
+
+    def content(self, binaries: Mapping[str, bytes]) -> dict[str, bytes]:
+        return {**super().content(binaries), **self.inner.files()}
 
 
 def _step(plan: Plan) -> float | None:
@@ -308,7 +399,7 @@ def _c_file(name: str) -> str:
     return (resources(__package__) / "c" / name).read_text(encoding="utf-8")
 
 
-def _starts(plan: Plan) -> list[float]:
+def _starts(plan: Plan | Coupling) -> list[float]:
     """The values of inputs at the start: those that the diagram's run gives as numbers, defaults, or 0."""
     raw: dict[str, object] = {}
     for name, shape, _, type_, default in plan.inputs:

@@ -43,6 +43,19 @@ Dependencies = Mapping[int, tuple[int, ...] | None]
 
 
 @dataclass(frozen=True, slots=True)
+class Abilities:
+    """What an FMU with others inside can do: save and serialize its state, take steps of any length.
+
+    once_per_process: whether there can be one instance only.
+    """
+
+    saves: bool
+    serializes: bool
+    any_step: bool
+    once_per_process: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Model:
     """All that a modelDescription.xml says.
 
@@ -51,7 +64,8 @@ class Model:
     `derivatives` and `derivative_of`. indicators: references of event indicators, in order; of these, FMI 2 knows the
     number only. start, stop, step, tolerance: the default experiment (None: not given). step: of a fixed-step method.
     needs_completed_step: whether Model Exchange must report completed steps. sources: the files of sources/ to compile.
-    has_events: whether a communication step may meet an event (a tick, a crossing, an event time).
+    has_events: whether a communication step may meet an event (a tick, a crossing, an event time). container: of one
+    with FMUs inside, what it can do. inside: of these, the path, what they say of themselves, and the license.
     """
 
     name: str
@@ -72,3 +86,5 @@ class Model:
     needs_completed_step: bool = False
     has_events: bool = True
     sources: tuple[str, ...] = ()
+    container: Abilities | None = None
+    inside: tuple[tuple[str, str, str], ...] = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -59,74 +60,99 @@ def tables_text(
     dependencies: Dependencies,
 ) -> str:
     """The text of tables.c. kinds: 1 Model Exchange, 2 Co-Simulation, 3 both. dependencies: by reference."""
-    settings = plan.settings
-    setup, setup_fields = _setup(made, plan, settings)
     derived = jacobian_text(jacobian, plan.table_places, made.place.tolist(), "blocks_probed")
-    parts = ["/* Tables of the diagram. */\n", '#include "fmu_model.h"\n#include "fmu.h"\n\n', setup, derived.text]
-    rows, members, strings = _variables(variables)
-    parts += [table("FmuVariable", "variables", rows), reals("members", members), texts("strings", strings)]
-    numeric = [setting for setting in variables.settings if setting.first >= 0]
-    parts.append(bindings_c(variables.settings))
-    starts = [float(value) for setting in numeric for value in setting.values]
-    order, place = made.order, made.place
-    atol = settings.atol * np.array(plan.nominal, dtype=float)
     rates, columns = _rows_and_columns(plan, variables, jacobian)
+    run, run_fields = run_text(plan, made)
+    parts = [
+        "/* Tables of the diagram. */\n", '#include "fmu_model.h"\n#include "fmu.h"\n\n', derived.text,
+        reals("nominal", plan.nominal), ints("places", made.place), ints("rows_of", rates), ints("columns_of", columns),
+        "extern const BlocksModel blocks_model;\n",
+        "void blocks_locals(const BlocksMemory *m, double t, const double *x, double *out);\n",
+        "void blocks_probed(const BlocksMemory *m, double t, const double *x, double *out);\n", run,
+    ]  # fmt: skip
+    fields = {
+        "run": run_fields, "nominal": "nominal", "places": "places", "rows_of": "rows_of", "columns_of": "columns_of",
+        "locals": "blocks_locals", "jacobian": derived.initializer,
+    }  # fmt: skip
+    return "".join([*parts, model_text(variables, kinds=kinds, token=token, dependencies=dependencies, more=fields)])
+
+
+def model_text(
+    variables: Variables, *, kinds: int, token: str, dependencies: Dependencies, more: Mapping[str, object]
+) -> str:
+    """The tables of variables, and the FmuModel. more: fields of it."""
+    rows, members, strings = _variables(variables)
+    numeric = [setting for setting in variables.settings if setting.first >= 0]
+    starts = [float(value) for setting in numeric for value in setting.values]
     firsts, knowns = [0], list[int]()
     for reference in range(len(variables.places)):
         knowns += dependencies.get(reference) or ()
         firsts.append(len(knowns))
+    names = [text for variable in variables.all for text in [variable.name] * max(1, math.prod(variable.shape))]
+    parts = [
+        table("FmuVariable", "variables", rows), reals("members", members), texts("strings", strings),
+        bindings_c(variables.settings), reals("settings", starts), reals("inputs", variables.starts),
+        ints("first_dependency", firsts), ints("dependencies", knowns), texts("names", names),
+    ]  # fmt: skip
+    fields: dict[str, object] = {
+        **more, "token": f'"{token}"', "kinds": kinds, "nvariables": len(variables.places),
+        "nsettings": len(starts), "ninputs": len(variables.starts), "noutputs": len(variables.outputs),
+        "nlocals": len(variables.locals),
+        "variables": "variables", "settings": "settings", "inputs": "inputs", "members": "members",
+        "first_dependency": "first_dependency", "dependencies": "dependencies", "bind": "bind", "texts": "strings",
+        "names": "names",
+    }  # fmt: skip
+    lines = (f"    .{name} = {value},\n" for name, value in fields.items())
+    return "".join([*parts, "const FmuModel fmu_model = {\n", *lines, "};\n"])
+
+
+def run_text(plan: Plan, made: RuntimeTables, prefix: str = "", model: str = "blocks_model") -> tuple[str, str]:
+    """The tables of an FmuRun, and its initializer. prefix: of their names. model: the name of its BlocksModel."""
+    settings, order = plan.settings, made.order
+    setup, setup_fields = _setup(made, plan, settings, prefix, model)
+    atol = settings.atol * np.array(plan.nominal, dtype=float)
     given = [isinstance(begin, Reference) for begin in plan.s_start]
     sides = [float(begin.index) if isinstance(begin, Reference) else 0.0 for begin in plan.s_start]
     causes = [f"{path}.{name}" for path, name in made.told_as]
-    names = [text for variable in variables.all for text in [variable.name] * max(1, math.prod(variable.shape))]
-    parts += [
-        reals("settings", starts), reals("parameters", plan.parameters), reals("inputs", variables.starts),
-        reals("guesses", [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]),
-        reals("nominal", plan.nominal), reals("atol", atol[order]),
-        reals("sides", sides), ints("sides_given", given, "uint8_t"), ints("places", place), ints("rows_of", rates),
-        ints("columns_of", columns),
-        ints("first_dependency", firsts), ints("dependencies", knowns), reals("numbers", made.numbers),
-        reals("tables", made.tables), texts("state_names", [plan.states[i] for i in order]),
-        texts("discrete_names", plan.discretes), texts("cause_names", causes), texts("names", names),
-    ]  # fmt: skip
     length = float(settings.stop - settings.start) if settings.stop is not None else math.inf
-    fields: dict[str, object] = {
-        "setup": "&setup", "token": f'"{token}"', "kinds": kinds, "nvariables": len(variables.places),
-        "nsettings": len(starts), "noutputs": len(variables.outputs), "nlocals": len(variables.locals),
-        "nstates": len(plan.states), "is_whole": int(plan.starting is True), "variables": "variables",
-        "settings": "settings", "parameters": "parameters", "inputs": "inputs", "guesses": "guesses",
-        "nominal": "nominal", "atol": "atol", "members": "members", "sides": "sides", "sides_given": "sides_given",
-        "places": "places", "rows_of": "rows_of", "columns_of": "columns_of", "first_dependency": "first_dependency",
-        "dependencies": "dependencies", "bind": "bind", "locals": "blocks_locals",
-        "numbers": "numbers", "tables": "tables", "texts": "strings", "state_names": "state_names",
-        "discrete_names": "discrete_names", "cause_names": "cause_names", "names": "names",
-        "rtol": number(settings.rtol), "plain_atol": number(settings.atol), "start": number(float(settings.start)),
-        "length": number(length), "jacobian": derived.initializer,
+    rows = {
+        "parameters": plan.parameters, "guesses": [plan.guesses.get(reference, 0.0) for reference in plan.unknowns],
+        "atol": atol[order], "sides": sides, "numbers": made.numbers, "tables": made.tables,
     }  # fmt: skip
-    parts += [
-        "extern const BlocksModel blocks_model;\n",
-        "void blocks_locals(const BlocksMemory *m, double t, const double *x, double *out);\n",
-        "void blocks_probed(const BlocksMemory *m, double t, const double *x, double *out);\n",
-        f"static const BlocksSetup setup = {setup_fields};\n",
-        "const FmuModel fmu_model = {\n",
-        *(f"    .{name} = {value},\n" for name, value in fields.items()),
-        "};\n",
-    ]
-    return "".join(parts)
+    words = {
+        "state_names": [plan.states[i] for i in order],
+        "discrete_names": plan.discretes,
+        "cause_names": causes,
+    }
+    parts = [
+        setup, *(reals(f"{prefix}{name}", values) for name, values in rows.items()),
+        ints(f"{prefix}sides_given", given, "uint8_t"),
+        *(texts(f"{prefix}{name}", values) for name, values in words.items()),
+        f"static const BlocksSetup {prefix}setup = {setup_fields};\n",
+    ]  # fmt: skip
+    fields = {
+        "setup": f"&{prefix}setup", "nstates": len(plan.states), "is_whole": int(plan.starting is True),
+        **{name: f"{prefix}{name}" for name in (*rows, "sides_given", *words)},
+        "rtol": number(settings.rtol), "plain_atol": number(settings.atol), "start": number(float(settings.start)),
+        "length": number(length),
+    }  # fmt: skip
+    return "".join(parts), "{" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "}"
 
 
-def _setup(runtime: RuntimeTables, plan: Plan, settings: RunSettings) -> tuple[str, str]:
+def _setup(
+    runtime: RuntimeTables, plan: Plan, settings: RunSettings, prefix: str, model: str
+) -> tuple[str, str]:
     """The tables of a BlocksSetup, and its initializer."""
     text: list[str] = []
-    fields: dict[str, object] = {"model": "&blocks_model"}
+    fields: dict[str, object] = {"model": f"&{model}"}
 
-    masks = [f"mask_{k}" for k in range(len(runtime.masks))]
+    masks = [f"{prefix}mask_{k}" for k in range(len(runtime.masks))]
     for entry, values in runtime.of_setup():
         if not entry.in_fmus:
             continue
         if entry.length:
             fields[entry.length] = len(values)
-        name = f"setup_{entry.name}"
+        name = f"{prefix}setup_{entry.name}"
         if values.dtype.names is None:
             text.append((reals if entry.kind == "double" else ints)(name, values.ravel()))
         elif len(values):

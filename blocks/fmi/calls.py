@@ -44,7 +44,7 @@ KEPT = 20
 LONGEST = 500
 """Characters of a message."""
 # What the standards call the messages about failures. All other messages cost time, and report no failure.
-_FAILURES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending")
+FAILURES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending")
 # They return something else than a status.
 _PLAIN = {
     "fmi2GetTypesPlatform", "fmi2GetVersion", "fmi2Instantiate", "fmi2FreeInstance", "fmi3GetVersion",
@@ -333,7 +333,7 @@ class Running(Called):
     def _only_failures(self) -> None:
         """Ask for messages about failures and those for a trace, where the FMU can separate them from others."""
         names = [category.name for category in self.binding.description.categories]
-        asked = _FAILURES if self.traced is None else (*_FAILURES, *self.traced.categories)
+        asked = FAILURES if self.traced is None else (*FAILURES, *self.traced.categories)
         wanted = [name.encode() for name in names if name in asked]
         if wanted and len(wanted) < len(names):
             array = (ctypes.c_char_p * len(wanted))(*wanted)

@@ -116,7 +116,6 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
 {
     const char *given = instanceName ? instanceName : "";
     Instance *in = functions ? calloc(1, sizeof *in) : NULL;
-    (void)fmuResourceLocation;
     (void)visible;
     if (!in)
         return NULL;
@@ -131,7 +130,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         return not_made(in, "fmi2Instantiate: fmuGUID is a null pointer.");
     if (fmuType != fmi2ModelExchange && fmuType != fmi2CoSimulation)
         return not_made(in, "fmi2Instantiate: fmuType is neither fmi2ModelExchange nor fmi2CoSimulation.");
-    in->fmu = fmu_new(fmuType == fmi2ModelExchange ? FMU_ME : FMU_CS, in->name, fmuGUID, tell, in);
+    in->fmu = fmu_new(fmuType == fmi2ModelExchange ? FMU_ME : FMU_CS, in->name, fmuGUID,
+                      fmuResourceLocation, tell, in);
     if (!in->fmu)
         return not_made(in, NULL);
     fmu_log_categories(in->fmu, loggingOn ? CATEGORIES[ALL_CATEGORIES].categories : 0);

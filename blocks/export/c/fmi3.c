@@ -174,7 +174,7 @@ static fmi3Instance not_made(Instance *in, const char *why)
 /* Why there is no instance is told whether logging is on or not: nobody could ask for it afterwards. `from` has the
    callbacks of the instance that is made. */
 static fmi3Instance instantiate(int kind, const Instance *from, fmi3String name, fmi3String token,
-                                fmi3Boolean loggingOn)
+                                fmi3String resources, fmi3Boolean loggingOn)
 {
     Instance *in = malloc(sizeof *in);
     if (!in)
@@ -184,7 +184,7 @@ static fmi3Instance instantiate(int kind, const Instance *from, fmi3String name,
         return not_made(in, "the instance has no name.");
     if (!token)
         return not_made(in, "instantiationToken is a null pointer.");
-    in->fmu = fmu_new(kind, name, token, tell, in);
+    in->fmu = fmu_new(kind, name, token, resources, tell, in);
     if (!in->fmu)
         return not_made(in, NULL);
     fmu_log_categories(in->fmu, loggingOn ? CATEGORIES[ALL_CATEGORIES].categories : 0);
@@ -197,9 +197,8 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3LogMessageCallback logMessage)
 {
     const Instance from = {.environment = instanceEnvironment, .log = logMessage};
-    (void)resourcePath;
     (void)visible;
-    return instantiate(FMU_ME, &from, instanceName, instantiationToken, loggingOn);
+    return instantiate(FMU_ME, &from, instanceName, instantiationToken, resourcePath, loggingOn);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String instantiationToken,
@@ -216,7 +215,6 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                      .intermediate = intermediateUpdate,
                      .has_event_mode = eventModeUsed,
                      .may_return_early = earlyReturnAllowed};
-    (void)resourcePath;
     (void)visible;
     if (nRequiredIntermediateVariables && !requiredIntermediateVariables) {
         tell(&from, FMU_ERROR, FMU_LOG_ERROR, "requiredIntermediateVariables is a null pointer.");
@@ -227,7 +225,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
             tell(&from, FMU_ERROR, FMU_LOG_ERROR, "a required intermediate variable is none of this FMU.");
             return NULL;
         }
-    return instantiate(FMU_CS, &from, instanceName, instantiationToken, loggingOn);
+    return instantiate(FMU_CS, &from, instanceName, instantiationToken, resourcePath, loggingOn);
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3String instantiationToken,

@@ -12,14 +12,6 @@
 #include "fmu_model.h"
 
 enum { OUTPUTS_KNOWN = 1, LOCALS_KNOWN = 2, RATES_KNOWN = 4, INDICATORS_KNOWN = 8, JACOBIAN_KNOWN = 16, STATES_KNOWN = 32, BEGUN = 64 };
-enum { INPUTS_SET = 1, SETTINGS_SET = 2 };
-
-/* What is saved as it stands. */
-typedef struct {
-    double start, stop, tolerance, slopes_at;
-    int64_t steps; /* communication steps since the start */
-    int32_t mode, kind, has_stop, has_tolerance, has_event_mode, known, set, has_slopes;
-} Live;
 
 struct Fmu {
     Live live;
@@ -47,28 +39,16 @@ struct Fmu {
     int categories;
 };
 
+#include "fmu_values.h"
+
 /* --- life ------------------------------------------------------------------------------------------------------- */
 
-int fmu_say(Fmu *f, int status, int category, const char *format, ...)
+Fmu *fmu_new(int kind, const char *name, const char *token, const char *resources, FmuLog log, void *owner)
 {
-    char text[600];
-    va_list arguments;
-    if (!f->log || !(f->categories & category)) return status;
-    va_start(arguments, format);
-    vsnprintf(text, sizeof text, format, arguments);
-    va_end(arguments);
-    f->log(f->owner, status, category, text);
-    return status;
-}
-
-Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *owner)
-{
+    (void)resources;
     const FmuModel *model = &fmu_model;
-    const char *why = NULL;
+    const char *why = why_no_instance(kind, name, token);
     Fmu *f = NULL;
-    if (!name || !name[0]) why = "an instance needs a name";
-    else if (!token || strcmp(token, model->token)) why = "the token is not that of this FMU: the description is another one's";
-    else if (!(model->kinds & kind)) why = "the FMU was not exported for this kind of simulation";
     if (why) {
         if (log) log(owner, FMU_ERROR, FMU_LOG_ERROR, why);
         return NULL;
@@ -76,8 +56,8 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     f = calloc(1, sizeof *f);
     if (f) {
 #define ROW(field, n, flags) {NULL, &f->field, NULL, n, 0.0, sizeof(double), 'd', flags, 0}
-        const BlocksModel *m = model->setup->model;
-        const int64_t nx = model->nstates, nu = m->nu, ns = m->ns, nboth = nx + ns + model->noutputs;
+        const BlocksModel *m = model->run.setup->model;
+        const int64_t nx = model->run.nstates, nu = m->nu, ns = m->ns, nboth = nx + ns + model->noutputs;
         /* nboth: rates may come with crossings behind them */
         const BlocksEntry entries[] = {
             {NULL, &f->live, NULL, 1, 0.0, sizeof f->live, 'B', BLOCKS_SAVED | BLOCKS_HERE, 0},
@@ -93,7 +73,7 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
         f->nentries = sizeof entries / sizeof *entries;
         memcpy(f->entries, entries, sizeof entries);
         f->arena = blocks_allocate(entries, f->nentries);
-        f->setup = *model->setup;
+        f->setup = *model->run.setup;
         f->setup.atol = f->atol;
         f->sim = f->arena ? blocks_new(&f->setup) : NULL;
     }
@@ -102,8 +82,8 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
         if (log) log(owner, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for an instance");
         return NULL;
     }
-    f->sim->memory.n = model->numbers;
-    f->sim->memory.c = model->tables;
+    f->sim->memory.n = model->run.numbers;
+    f->sim->memory.c = model->run.tables;
     f->log = log;
     f->owner = owner;
     f->track = (BlocksTrack){&f->always, f->input, 1, f->setup.model->nu, 0};
@@ -126,34 +106,6 @@ void fmu_free(Fmu *f)
     free(f);
 }
 
-/* What follows from the experiment: the tolerances, the longest step, the grid of steps. */
-static void configure(Fmu *f)
-{
-    const FmuModel *model = &fmu_model;
-    const Live *live = &f->live;
-    double share = live->has_tolerance ? live->tolerance / model->rtol : 1.0;
-    double length = live->has_stop && live->stop > live->start ? live->stop - live->start : model->length;
-    f->setup.rtol = live->has_tolerance ? live->tolerance : model->rtol;
-    f->setup.plain_atol = model->plain_atol * share;
-    for (int i = 0; i < model->nstates; i++) f->atol[i] = model->atol[i] * share;
-    f->setup.longest = length / (model->nstates ? 50 : 1000);
-    f->setup.start = live->start;
-    f->setup.end = live->has_stop ? live->stop : NAN;
-    f->setup.fixed = model->setup->fixed;
-    if (f->setup.fixed.is_given && live->start != model->start) {
-        /* The start as a decimal of few digits, which it is nearly always; else to 1e-9 of a step. */
-        BlocksGrid *grid = &f->setup.fixed;
-        int64_t power = 1;
-        while (power < 1000000000 && (double)grid->unit * (double)power < 1e15 / fmax(1.0, fabs(live->start))
-               && !blocks_within_ulps(live->start * (double)power, nearbyint(live->start * (double)power), 0.0))
-            power *= 10;
-        grid->start = (int64_t)nearbyint(live->start * (double)power) * grid->unit;
-        grid->step *= power;
-        grid->unit *= power;
-        grid->is_plain = fabs((double)grid->start) < 1e15 && (double)grid->unit < 1e15 && (double)grid->step < 1e9;
-    }
-}
-
 int fmu_reset(Fmu *f)
 {
     const FmuModel *model = &fmu_model;
@@ -161,136 +113,32 @@ int fmu_reset(Fmu *f)
     memset(&f->live, 0, sizeof f->live);
     f->live.kind = kind;
     f->live.mode = FMU_INSTANTIATED;
-    f->live.start = model->start;
+    f->live.start = model->run.start;
     f->always = -INFINITY;
     memcpy(f->settings, model->settings, (size_t)model->nsettings * sizeof(double));
     memcpy(f->input, model->inputs, (size_t)f->setup.model->nu * sizeof(double));
     for (int i = 0; i < 5 * f->setup.model->nu; i++) f->terms[i] = i < 4 * f->setup.model->nu ? 0.0 : NAN;
-    memcpy(f->sim->memory.p, model->parameters, (size_t)f->setup.model->np * sizeof(double));
+    memcpy(f->sim->memory.p, model->run.parameters, (size_t)f->setup.model->np * sizeof(double));
     for (int j = 0; j < f->setup.model->ns; j++) f->largest[j] = 0.0;
     f->sim->polynomials = NULL;
-    configure(f);
+    configure_run(&f->setup, f->atol, &fmu_model.run, &f->live);
     blocks_reset(f->sim);
     return FMU_OK;
 }
 
-void *fmu_owner(const Fmu *f) { return f->owner; }
-int fmu_kind(const Fmu *f) { return f->live.kind; }
-int fmu_mode(const Fmu *f) { return f->live.mode; }
 void fmu_set_mode(Fmu *f, int mode) { f->live.mode = mode; }
-/* Errors are told always: who does not ask for messages needs these most. */
-void fmu_log_categories(Fmu *f, int categories) { f->categories = categories | FMU_LOG_ERROR; }
-int fmu_logs(const Fmu *f) { return f->categories; }
 double fmu_time(const Fmu *f) { return f->live.mode <= FMU_INITIALIZATION ? f->live.start : f->sim->t; }
-size_t fmu_references(void) { return (size_t)fmu_model.nvariables; }
-size_t fmu_number_of_states(void) { return (size_t)fmu_model.nstates; }
-size_t fmu_number_of_indicators(void) { return (size_t)fmu_model.setup->model->ns; }
-
-size_t fmu_elements(uint32_t reference)
-{
-    return reference < fmu_references() ? (size_t)fmu_model.variables[reference].size : 0;
-}
-
-int fmu_type(uint32_t reference) { return reference < fmu_references() ? fmu_model.variables[reference].type : -1; }
+size_t fmu_number_of_states(void) { return (size_t)fmu_model.run.nstates; }
+size_t fmu_number_of_indicators(void) { return (size_t)fmu_model.run.setup->model->ns; }
 
 /* --- failures --------------------------------------------------------------------------------------------------- */
-
-static const char *name_in(const char *const *names, int n, int i) { return i >= 0 && i < n ? names[i] : "the diagram"; }
-
-/* A state that is not finite, or whose derivative is not, by its place in the model; -1: there is none. */
-static int bad_state(Fmu *f)
-{
-    int n = fmu_model.nstates;
-    blocks_evaluate(f->sim, f->setup.model->rates, f->sim->t, f->sim->memory.x, f->rates);
-    f->live.known &= ~RATES_KNOWN;
-    for (int i = 0; i < n; i++)
-        if (!isfinite(f->sim->memory.x[i]) || !isfinite(f->rates[i])) return i;
-    return -1;
-}
-
-/* The state that a step of h failed at: the first that is not finite within it (1 in *is_bad), else the one that moves
-   most by its tolerance. */
-static int failed_state(Fmu *f, double h, int *is_bad)
-{
-    BlocksSim *s = f->sim;
-    const BlocksModel *m = f->setup.model;
-    const double *x = s->memory.x;
-    int worst = bad_state(f);
-    double most = -1.0;
-    *is_bad = 1;
-    if (worst >= 0) return worst;
-    m->trial(s, s->t, x, h, s->x2, 0);
-    for (int j = 1; j < m->stages; j++)
-        for (int i = 0; i < m->nx; i++)
-            if (!isfinite(s->k[j][i])) return i;
-    for (int i = 0; i < m->nx; i++)
-        if (!isfinite(s->x2[i])) return i;
-    *is_bad = 0;
-    for (int i = 0; i < m->nx; i++) {
-        double moved = fabs(s->x2[i] - x[i]) / (f->atol[i] + f->setup.rtol * fabs(x[i]));
-        if (moved > most) most = moved, worst = i;
-    }
-    return worst;
-}
 
 /* Tells what stopped the numbers, and stands in FMU_FAILED. The instance is at its last good moment. */
 static int failed(Fmu *f)
 {
-    const BlocksSim *s = f->sim;
-    const BlocksModel *model = f->setup.model;
-    const FmuModel *names = &fmu_model;
-    int what = s->failure, culprit = s->culprit, nevents = model->nevents, ncauses = f->setup.ncauses;
-    double t = s->t, value = s->value;
-    const char *state = NULL;
-    int is_bad = 1;
     f->live.mode = FMU_FAILED;
     f->live.known = 0;
-    switch (what) {
-    case -1: return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s there is no memory left", t);
-    case BLOCKS_BLOWN_UP:
-    case BLOCKS_TOO_SMALL:
-        culprit = failed_state(f, value, &is_bad);
-        state = culprit < 0 ? "a state" : name_in(names->state_names, names->nstates, culprit);
-        if (what == BLOCKS_BLOWN_UP)
-            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is not finite after a step of %g s from t = %.17g s", state,
-                           value, t);
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the step became too small: %s %s", t, state,
-                       is_bad ? "is not finite after it" : "moves too fast for the tolerance");
-    case BLOCKS_NOT_CONVERGED:
-        culprit = bad_state(f);
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the step of the stiff method became too small%s%s", t,
-                       culprit < 0 ? "" : ": not finite is ",
-                       culprit < 0 ? "" : name_in(names->state_names, names->nstates, culprit));
-    case BLOCKS_NOT_A_NUMBER:
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the crossing %s is not a number after t = %.17g s",
-                       name_in(names->cause_names, ncauses, culprit), t);
-    case BLOCKS_ENDLESS:
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s events fire each other without end", t);
-    case BLOCKS_NOT_AHEAD:
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the next event time of %s is %.17g s, which is not ahead",
-                       t, name_in(names->cause_names, ncauses, ncauses - nevents + culprit), value);
-    case BLOCKS_UNSOLVED:
-        return fmu_say(f, FMU_ERROR, FMU_LOG_NONLINEAR | FMU_LOG_ERROR,
-                       "an algebraic loop has no solution that can be found after t = %.17g s", t);
-    case BLOCKS_NOT_WHOLE:
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s would become %.17g at t = %.17g s, which it cannot hold",
-                       name_in(names->discrete_names, model->nd, culprit), value, t);
-    case BLOCKS_ZENO:
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s fires ever faster at t = %.17g s: Zeno or chattering",
-                       name_in(names->cause_names, ncauses, culprit), t);
-    case BLOCKS_CHANGES_ALWAYS:
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s what is replaced after each step changes with each step", t);
-    default:
-        culprit = bad_state(f);
-        state = culprit < 0 ? "a value" : name_in(names->state_names, names->nstates, culprit);
-        for (int i = 0; culprit < 0 && i < model->nd; i++)
-            if (!isfinite(s->d1[i])) culprit = i, state = name_in(names->discrete_names, model->nd, i);
-        for (int a = 0; culprit < 0 && a < ncauses; a++)
-            for (int i = 0; s->firing[a] && i < f->setup.causes[a].nresets; i++)
-                if (!isfinite(s->reset_values[f->setup.causes[a].first_reset + i]))
-                    culprit = i, state = name_in(names->cause_names, ncauses, a);
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is not finite at or after t = %.17g s", state, t);
-    }
+    return tell_failure(f, f->sim, &fmu_model.run, f->rates);
 }
 
 /* Tells the events that fired, and forgets them. */
@@ -300,117 +148,34 @@ static void tell_events(Fmu *f)
     if (f->log && (f->categories & FMU_LOG_EVENTS))
         for (int64_t i = 0; i + 1 < fired->used; i += 2)
             fmu_say(f, FMU_OK, FMU_LOG_EVENTS, "t = %.17g s: %s", fired->data[i],
-                    name_in(fmu_model.cause_names, f->setup.ncauses, (int)fired->data[i + 1]));
+                    name_in(fmu_model.run.cause_names, f->setup.ncauses, (int)fired->data[i + 1]));
     fired->used = 0;
 }
 
 /* --- times ------------------------------------------------------------------------------------------------------ */
 
-/* By how much the end of a communication step of h s may miss a tick: an importer that adds up n steps rounds n times,
-   each time by half an ulp of t at most. A small part of the step, or another tick could be meant. */
-static double drift(const Fmu *f, double t, double h)
-{
-    return fmin((4.0 + 0.5 * (double)f->live.steps) * blocks_ulp(t), 1e-3 * h);
-}
-
-/* Whether t means this point of time: it is some ulp away, or what an importer's sum of steps may miss it by. */
-static int means(const Fmu *f, double point, double t, double miss)
-{
-    return fabs(point - t) <= miss || blocks_within_ulps(point, t, f->sim->scale);
-}
-
-/* Find the tick of a rate that t means: its count in base steps. Return 0 if there is none. */
-static int tick_at(const Fmu *f, double t, double miss, int64_t *count)
-{
-    const BlocksSetup *setup = &f->setup;
-    for (int r = 0; r < setup->model->nrates; r++) {
-        const BlocksRate *rate = &setup->rates[r];
-        int64_t next = rate->offset + f->sim->ticks[r] * rate->period;
-        if (means(f, blocks_tick_time(f->sim, next), t, miss)) { /* mostly it is this one */
-            *count = next;
-            return 1;
-        }
-        double base = (double)setup->base_numerator / (double)setup->base_denominator;
-        double number = nearbyint((t / base - (double)rate->offset) / (double)rate->period);
-        if (!(number >= 0 && number < 9e15)) continue;
-        int64_t at = rate->offset + (int64_t)number * rate->period;
-        if (means(f, blocks_tick_time(f->sim, at), t, miss)) {
-            *count = at;
-            return 1;
-        }
-    }
-    return 0;
-}
-
 /* The tick or the point of the grid of steps that the end t of a communication step of h s means, or t. */
 static double snapped(const Fmu *f, double t, double h)
 {
     int64_t count;
-    double miss = drift(f, t, h);
+    double miss = drift(&f->live, t, h);
     const BlocksGrid *grid = &f->setup.fixed;
-    if (f->setup.model->nrates && tick_at(f, t, miss, &count)) return blocks_tick_time(f->sim, count);
+    if (f->setup.model->nrates && tick_at(f->sim, t, miss, &count)) return blocks_tick_time(f->sim, count);
     if (grid->is_given) {
         /* Mostly it is the next one; where a step ended at a point, `fixed` is still the number of that. */
         double next = blocks_grid(grid, f->sim->fixed);
         if (next <= f->sim->t) next = blocks_grid(grid, f->sim->fixed + 1);
-        if (means(f, next, t, miss)) return next;
+        if (means(f->sim, next, t, miss)) return next;
         double k = nearbyint((t * (double)grid->unit - (double)grid->start) / (double)grid->step);
         double point = fabs(k) < 9e15 ? blocks_grid(grid, (int64_t)k) : t;
-        if (means(f, point, t, miss)) return point;
+        if (means(f->sim, point, t, miss)) return point;
     }
     return t;
-}
-
-/* Check whether a rate that has a tick at this count of base steps has not done it yet. */
-static int is_ahead(const Fmu *f, int64_t count)
-{
-    for (int r = 0; r < f->setup.model->nrates; r++) {
-        const BlocksRate *rate = &f->setup.rates[r];
-        int64_t since = count - rate->offset;
-        if (since % rate->period == 0 && since / rate->period >= f->sim->ticks[r]) return 1;
-    }
-    return 0;
-}
-
-/* The instance stands at t, exactly at a tick where one is near. A tick that has happened does not count: what has crossed
-   since then has not crossed at its time. */
-static void stand_at(Fmu *f, double t)
-{
-    BlocksSim *s = f->sim;
-    int64_t count = 0;
-    s->exact = tick_at(f, t, 0.0, &count) && is_ahead(f, count);
-    s->count = count;
-    s->t = s->exact ? blocks_tick_time(s, count) : t;
 }
 
 /* --- what is set ------------------------------------------------------------------------------------------------- */
 
 static void forget(Fmu *f) { f->live.known &= BEGUN; }
-
-static int is_out_of_range(const FmuVariable *v, double value);
-
-static int out_of_range(Fmu *f, const FmuVariable *v, const char *name, double value)
-{
-    const char *how = v->variability == FMU_CALCULATED ? ", which follows from what was set," : "";
-    if (v->type == FMU_BOOLEAN || v->type == FMU_ENUMERATION || (value >= v->low && value <= v->high && v->type != FMU_REAL))
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s = %.17g%s is none of its values", name, value, how);
-    return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s = %.17g%s is out of its range, which is %c%g, %g%c", name, value, how,
-                   v->low_open || isinf(v->low) ? '(' : '[', v->low, v->high, v->high_open || isinf(v->high) ? ')' : ']');
-}
-
-/* The parameters by what was set. An error, with a message, where a bound one is then out of its range. */
-static int bound(Fmu *f)
-{
-    fmu_model.bind(f->settings, f->sim->memory.p);
-    for (int i = 0; i < fmu_model.nvariables; i++) {
-        const FmuVariable *v = &fmu_model.variables[i];
-        if (v->row != FMU_ROW_SETTING || v->variability != FMU_CALCULATED) continue;
-        double value = f->settings[v->index];
-        if (!isfinite(value) || is_out_of_range(v, value))
-            return out_of_range(f, v, fmu_model.names[i], value);
-    }
-    return FMU_OK;
-}
 
 /* Whether inputs are polynomials by what was set in intermediate updates. */
 static int is_curved(const Fmu *f) { return f->sim->polynomials == &f->curves; }
@@ -453,7 +218,7 @@ static int take_in(Fmu *f)
     const int is_instant = !(f->live.mode & (FMU_CONTINUOUS | FMU_INTERMEDIATE)) || f->live.set & SETTINGS_SET;
     if (is_instant && !s->changed) note_due(f);
     if (f->live.set & SETTINGS_SET) {
-        if (bound(f)) return FMU_ERROR;
+        if (bound(f, f->sim->memory.p)) return FMU_ERROR;
         blocks_rows(s);
     }
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
@@ -471,38 +236,16 @@ static int take_in(Fmu *f)
 /* Values at the start, with all that was set; no instant yet. */
 static int begin(Fmu *f)
 {
-    const FmuModel *model = &fmu_model;
     BlocksSim *s = f->sim;
-    int ns = f->setup.model->ns;
     if (f->live.known & BEGUN) return FMU_OK;
-    configure(f);
+    configure_run(&f->setup, f->atol, &fmu_model.run, &f->live);
     blocks_reset(s);
     s->slice = INFINITY;
-    if (f->live.set & SETTINGS_SET && bound(f)) return FMU_ERROR;
+    if (f->live.set & SETTINGS_SET && bound(f, s->memory.p)) return FMU_ERROR;
     f->live.set = 0;
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
     f->polynomials.t0 = f->live.slopes_at;
-    stand_at(f, f->live.start);
-    s->broken = s->t;
-    for (int r = 0; r < f->setup.model->nrates; r++) {
-        const BlocksRate *rate = &f->setup.rates[r];
-        double base = (double)f->setup.base_numerator / (double)f->setup.base_denominator;
-        double number = floor((s->t / base - (double)rate->offset) / (double)rate->period) - 1;
-        if (number > 9e15 / (double)rate->period) {
-            blocks_fail(s, BLOCKS_TOO_SMALL, 0, 0.0);
-            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "t = %g s is too late for ticks every %g s", s->t,
-                           base * (double)rate->period);
-        }
-        int64_t n = number > 0 ? (int64_t)number : 0;
-        while (blocks_tick_time(s, rate->offset + n * rate->period) < s->t) n++;
-        s->ticks[r] = n;
-    }
-    memcpy(s->memory.z, model->guesses, (size_t)f->setup.model->nz * sizeof(double));
-    for (int j = 0; j < ns; j++) {
-        s->memory.s[j] = model->sides_given[j] ? model->sides[j] : 0.0;
-        s->located[j] = model->sides_given[j];
-    }
-    s->crossing = model->is_whole;
+    if (stand_at_start(f, s, &fmu_model.run)) return FMU_ERROR;
     forget(f);
     if (blocks_begin(s)) {
         failed(f);
@@ -523,13 +266,6 @@ static int ready(Fmu *f)
         return status;
     }
     return f->live.mode == FMU_FAILED ? FMU_OK : take_in(f);
-}
-
-static int all_finite(const double *values, int n)
-{
-    for (int i = 0; i < n; i++)
-        if (!isfinite(values[i])) return i;
-    return -1;
 }
 
 /* The name of the variable that shows an element of a row. */
@@ -590,7 +326,7 @@ static int read_program(void *reading)
     const Reading *r = reading;
     BlocksSim *s = r->f->sim;
     if (r->program) blocks_evaluate(s, r->program, s->t + r->later, s->memory.x, r->out);
-    else memcpy(r->out, s->memory.x, (size_t)fmu_model.nstates * sizeof(double));
+    else memcpy(r->out, s->memory.x, (size_t)fmu_model.run.nstates * sizeof(double));
     return 0;
 }
 
@@ -629,10 +365,10 @@ static int rates(Fmu *f)
     Reading reading = {f, f->setup.model->rates, 0.0, f->rates};
     const int status = look(f, read_program, &reading);
     if (status) return status;
-    int bad = all_finite(f->rates, fmu_model.nstates);
+    int bad = all_finite(f->rates, fmu_model.run.nstates);
     if (bad >= 0)
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the derivative of %s is %g at t = %.17g s",
-                       fmu_model.state_names[bad], f->rates[bad], s->t);
+                       fmu_model.run.state_names[bad], f->rates[bad], s->t);
     f->live.known |= RATES_KNOWN;
     return FMU_OK;
 }
@@ -643,7 +379,7 @@ static int is_near(Fmu *f, int j, double value)
     BlocksSim *s = f->sim;
     if (f->live.kind != FMU_ME || f->setup.model->hooks || !(fabs(value) < 1e-9 * f->largest[j])) return 0;
     if (!(f->live.known & RATES_KNOWN)) blocks_evaluate(s, f->setup.model->rates, s->t, s->memory.x, f->rates);
-    return all_finite(f->rates, fmu_model.nstates) < 0;
+    return all_finite(f->rates, fmu_model.run.nstates) < 0;
 }
 
 /* The length, in s, of the way on which the rounding of a crossing is measured: the longest step, which is infinite without a
@@ -719,22 +455,6 @@ static void note_crossings(Fmu *f, int is_due)
 
 /* --- variables ---------------------------------------------------------------------------------------------------- */
 
-static int is_known(Fmu *f, uint32_t reference, int type, size_t count)
-{
-    if (reference >= fmu_references() || count > fmu_references() - reference) {
-        fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no variable with the value reference %u", (unsigned)reference);
-        return 0;
-    }
-    for (size_t k = 0; k < count; k++) {
-        int own = fmu_model.variables[reference + k].type;
-        if (own == type) continue;
-        fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s (value reference %u) is of another type",
-                fmu_model.names[reference + k], (unsigned)(reference + k));
-        return 0;
-    }
-    return 1;
-}
-
 int fmu_get(Fmu *f, uint32_t reference, int type, double *values, size_t count)
 {
     const FmuModel *model = &fmu_model;
@@ -783,42 +503,6 @@ int fmu_get(Fmu *f, uint32_t reference, int type, double *values, size_t count)
     return FMU_OK;
 }
 
-const char *fmu_get_string(Fmu *f, uint32_t reference)
-{
-    if (!is_known(f, reference, FMU_STRING, 1)) return NULL;
-    return fmu_model.texts[fmu_model.variables[reference].index];
-}
-
-static int is_out_of_range(const FmuVariable *v, double value)
-{
-    if (value < v->low || value > v->high) return 1;
-    if ((v->low_open && value == v->low) || (v->high_open && value == v->high)) return 1;
-    if (v->type == FMU_BOOLEAN) return value != 0.0 && value != 1.0;
-    if (v->type == FMU_INTEGER) return value != nearbyint(value) || fabs(value) > 9007199254740992.0;
-    if (v->type == FMU_ENUMERATION) {
-        for (int i = 0; i < v->nmembers; i++)
-            if (fmu_model.members[v->first_member + i] == value) return 0;
-        return 1;
-    }
-    return 0;
-}
-
-/* Why an element may not be set now; null where it may. */
-static const char *forbidden(const Fmu *f, const FmuVariable *v)
-{
-    int mode = f->live.mode, before = FMU_INSTANTIATED | FMU_INITIALIZATION;
-    if (v->row == FMU_ROW_INPUT) {
-        int always = before | FMU_EVENT | FMU_STEP | FMU_INTERMEDIATE;
-        if (v->type == FMU_REAL) always |= FMU_CONTINUOUS | FMU_ASKING;
-        return mode & always ? NULL : "cannot be set now";
-    }
-    if (v->row != FMU_ROW_SETTING) return "is computed, and cannot be set";
-    if (v->variability == FMU_CALCULATED) return "is bound to other parameters, and cannot be set itself";
-    if (v->variability == FMU_CONSTANT) return "is a constant of the FMU";
-    if (v->variability == FMU_FIXED) return mode & before ? NULL : "is fixed once the simulation has begun";
-    return mode & (before | FMU_EVENT | FMU_STEP) ? NULL : "cannot be set now";
-}
-
 /* The polynomials of inputs go on from now: what one input is set to leaves the others as they were. */
 static void anchor(Fmu *f)
 {
@@ -833,19 +517,6 @@ static void anchor(Fmu *f)
             f->input[i] = c[i];
         }
     f->live.slopes_at = fmu_time(f);
-}
-
-int fmu_check(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
-{
-    if (!is_known(f, reference, type, count)) return FMU_ERROR;
-    for (size_t k = 0; k < count; k++) {
-        const FmuVariable *v = &fmu_model.variables[reference + k];
-        const char *why = forbidden(f, v), *name = fmu_model.names[reference + k];
-        if (why) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s %s", name, why);
-        if (!isfinite(values[k])) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s cannot be set to %g", name, values[k]);
-        if (is_out_of_range(v, values[k])) return out_of_range(f, v, name, values[k]);
-    }
-    return FMU_OK;
 }
 
 int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
@@ -896,21 +567,10 @@ int fmu_set_input_derivative(Fmu *f, uint32_t reference, int order, double value
 
 int fmu_enter_initialization(Fmu *f, int has_tolerance, double tolerance, double start, int has_stop, double stop)
 {
-    if (!isfinite(start) || fabs(start) > 1e15)
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the start time cannot be %g", start);
-    if (has_stop && !(stop >= start)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the stop time %g lies before the start", stop);
     /* Who integrates with fixed steps, or not at all, has no use for it. */
-    if (f->live.kind == FMU_ME || fmu_model.setup->fixed.is_given) has_tolerance = 0;
-    if (has_tolerance && !(tolerance >= 1e-13 && tolerance < 1))
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the tolerance %g is not in [1e-13, 1)", tolerance);
-    f->live.has_tolerance = has_tolerance;
-    f->live.tolerance = tolerance;
-    f->live.start = start;
-    f->live.slopes_at = start;
-    f->live.has_stop = has_stop;
-    f->live.stop = stop;
-    f->live.known = 0;
-    f->live.mode = FMU_INITIALIZATION;
+    if (f->live.kind == FMU_ME || fmu_model.run.setup->fixed.is_given) has_tolerance = 0;
+    if (wrong_times(f, has_tolerance, tolerance, start, has_stop, stop)) return FMU_ERROR;
+    begin_experiment(&f->live, has_tolerance, tolerance, start, has_stop, stop);
     return FMU_OK;
 }
 
@@ -966,7 +626,7 @@ int fmu_enter_event_mode(Fmu *f)
     if (f->live.kind == FMU_ME) {
         BlocksSim *s = f->sim;
         const double t = s->t;
-        stand_at(f, t);
+        stand_at(f->sim, t);
         s->later = fmax(t - s->t, 0.0);
         int is_due = overdue(f) || blocks_is_due(s);
         blocks_loosen(s);
@@ -981,7 +641,7 @@ int fmu_enter_event_mode(Fmu *f)
 int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
 {
     BlocksSim *s = f->sim;
-    size_t n = (size_t)fmu_model.nstates, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns;
+    size_t n = (size_t)fmu_model.run.nstates, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns;
     double *x = f->moved, *d = x + n, *sides = d + nd;
     int has_moved = s->crossing == 2; /* as event mode was entered */
     memset(events, 0, sizeof *events);
@@ -1025,20 +685,13 @@ int fmu_set_time(Fmu *f, double t)
     return FMU_OK;
 }
 
-static int has_size(Fmu *f, size_t n, size_t needed, const char *what)
-{
-    if (n == needed) return 1;
-    fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there are %lu %s, not %lu", (unsigned long)needed, what, (unsigned long)n);
-    return 0;
-}
-
 int fmu_set_states(Fmu *f, const double *x, size_t n)
 {
     if (!has_size(f, n, fmu_number_of_states(), "continuous states")) return FMU_ERROR;
     for (size_t i = 0; i < n; i++)
         if (!isfinite(x[i]))
             return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state %s cannot be set to %g",
-                           fmu_model.state_names[fmu_model.places[i]], x[i]);
+                           fmu_model.run.state_names[fmu_model.places[i]], x[i]);
     for (size_t i = 0; i < n; i++) f->sim->memory.x[fmu_model.places[i]] = x[i];
     forget(f);
     return FMU_OK;
@@ -1240,13 +893,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
 {
     BlocksSim *s = f->sim;
     *step = (FmuStep){0, 0, 0, s->t};
-    double size = blocks_larger(fabs(t), fabs(s->t));
-    if (!isfinite(t) || !isfinite(h)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a step from t = %g of %g s cannot be made", t, h);
-    if (!(h > 0)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a communication step must be longer than 0, not %g s", h);
-    if (fabs(t - s->t) > 1e-9 * size + 1e-12)
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the communication point is t = %.17g s, but the FMU stands at %.17g s", t, s->t);
-    if (f->live.has_stop && t + h > f->live.stop + 1e-9 * (fabs(f->live.stop) + h))
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the step to t = %.17g s goes beyond the stop time %.17g s", t + h, f->live.stop);
+    if (wrong_step_from(f, s->t, t, h)) return FMU_ERROR;
     f->live.steps++;
     double begin = s->t, goal = snapped(f, t + h, h);
     if (!(goal > begin)) {
@@ -1323,7 +970,7 @@ int fmu_restore(Fmu *f, const FmuSaved *saved)
     int wrong = w.failed || w.at != w.end || f->live.kind != kind;
     if (wrong) walk_all(f, &back);
     fmu_forget(undo);
-    configure(f);
+    configure_run(&f->setup, f->atol, &fmu_model.run, &f->live);
     s->slice = INFINITY;
     s->is_factored = 0;
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
@@ -1335,14 +982,6 @@ int fmu_restore(Fmu *f, const FmuSaved *saved)
 }
 
 void fmu_forget(FmuSaved *saved) { free(saved); }
-
-/* FNV-1a: as bytes, a state ends with it, so that one that was damaged on its way is not taken in. */
-static uint64_t digest_of(const unsigned char *bytes, size_t size)
-{
-    uint64_t made = 14695981039346656037u;
-    for (size_t i = 0; i < size; i++) made = (made ^ bytes[i]) * 1099511628211u;
-    return made;
-}
 
 size_t fmu_saved_bytes(const FmuSaved *saved) { return saved->size + sizeof(uint64_t); }
 
@@ -1465,13 +1104,4 @@ int fmu_directional(Fmu *f, const uint32_t *unknowns, size_t nunknowns, const ui
     uint32_t culprit = adjoint ? knowns[bad] : unknowns[bad];
     return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a derivative of or by %s is not finite at t = %.17g s", fmu_model.names[culprit],
                    f->sim->t);
-}
-
-size_t fmu_dependencies(uint32_t unknown, const uint32_t **references)
-{
-    *references = NULL;
-    if (unknown >= fmu_references()) return 0;
-    int32_t first = fmu_model.first_dependency[unknown];
-    *references = (const uint32_t *)(const void *)(fmu_model.dependencies + first);
-    return (size_t)(fmu_model.first_dependency[unknown + 1] - first);
 }

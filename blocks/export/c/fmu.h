@@ -54,8 +54,9 @@ typedef struct {
 typedef void (*FmuIntermediate)(void *owner, double t, int finished, int *early, double *early_time);
 
 /* --- life ---- */
-/* Null where `token` is not that of this FMU, or there is no memory; `log` was told why. `log` may be null. */
-Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *owner);
+/* Null where `token` is not that of this FMU, or there is no memory; `log` was told why. `log` may be null. resources: the
+   folder of resources, as the importer names it; null where it does not. */
+Fmu *fmu_new(int kind, const char *name, const char *token, const char *resources, FmuLog log, void *owner);
 void fmu_free(Fmu *f);
 int fmu_reset(Fmu *f);                          /* as it was when it was new */
 void *fmu_owner(const Fmu *f);

@@ -27,25 +27,42 @@ typedef struct {
     int32_t first_member, nmembers; /* of an enumeration */
 } FmuVariable;
 
+/* Equations, and what they begin with. */
 typedef struct {
     const BlocksSetup *setup; /* what an instance makes its own of */
-    const char *token;
-    int32_t kinds, nvariables, nsettings, noutputs, nlocals, nstates, is_whole;
-    const FmuVariable *variables;
-    const double *settings, *parameters, *inputs, *guesses, *nominal, *atol, *members;
+    int32_t nstates, is_whole;
+    const double *parameters, *guesses, *atol;
     const double *sides;         /* (ns) at the start, where they are given */
     const uint8_t *sides_given;  /* (ns) */
+    const double *numbers, *tables;
+    const char *const *state_names, *const *discrete_names, *const *cause_names;
+    double rtol, plain_atol, start, length; /* length: of the run that is exported, s */
+} FmuRun;
+
+typedef struct {
+    FmuRun run;
+    const char *token;
+    int32_t kinds, nvariables, nsettings, ninputs, noutputs, nlocals;
+    const FmuVariable *variables;
+    const double *settings, *inputs, *nominal, *members;
     const int32_t *places;       /* (nstates) of each state, its place in the model */
     const int32_t *rows_of, *columns_of; /* by reference: the row and the column of its derivatives; -1: none */
     const int32_t *first_dependency, *dependencies; /* by reference: from [r] to [r + 1] */
     void (*bind)(double *settings, double *parameters);
     BlocksProgram locals;
-    const double *numbers, *tables;
-    const char *const *texts, *const *state_names, *const *discrete_names, *const *cause_names, *const *names;
-    double rtol, plain_atol, start, length; /* length: of the run that is exported, s */
+    const char *const *texts, *const *names;
     BlocksJacobian jacobian; /* of rates and outputs by states and real inputs */
 } FmuModel;
 
 extern const FmuModel fmu_model;
+
+enum { INPUTS_SET = 1, SETTINGS_SET = 2 };
+
+/* What is saved as it stands. */
+typedef struct {
+    double start, stop, tolerance, slopes_at;
+    int64_t steps; /* communication steps since the start */
+    int32_t mode, kind, has_stop, has_tolerance, has_event_mode, known, set, has_slopes;
+} Live;
 
 #endif

@@ -78,7 +78,7 @@ static int is_over(const Master *m)
 }
 
 /* Whether a unit ended the run, or its condition: behind a unit that lags, that is one of its extrapolated outputs. */
-static int has_ended(const Master *m)
+int master_has_ended(const Master *m)
 {
     if (is_over(m)) return 1;
     if (m->ending < 0 || m->y[m->ending] == 0.0) return 0;
@@ -852,7 +852,7 @@ static double *more(Master *m, BlocksList *list, int64_t n)
 void master_free(double *data) { free(data); }
 
 /* Each link as it is now. */
-static int values_of(Master *m, const MasterLink *links, int n, double *out)
+int master_values(Master *m, const MasterLink *links, int n, double *out)
 {
     double check = 0.0;
     int is_even = m->is_uniform && !m->has_instants && !m->has_rigid; /* all stand at one time */
@@ -866,7 +866,7 @@ static int values_of(Master *m, const MasterLink *links, int n, double *out)
     return 0;
 }
 
-static int recorded(Master *m, double *out) { return values_of(m, m->columns, m->ncolumns, out); }
+static int recorded(Master *m, double *out) { return master_values(m, m->columns, m->ncolumns, out); }
 
 static int add_row(Master *m, const double *values)
 {
@@ -884,7 +884,7 @@ static int measure(Master *m, double kind)
     if (!row) return 1;
     row[0] = m->t;
     row[1] = kind;
-    return values_of(m, m->measured, m->nmeasured, row + 2);
+    return master_values(m, m->measured, m->nmeasured, row + 2);
 }
 
 static int on_grid(const Master *m)
@@ -899,7 +899,7 @@ static int record(Master *m, const double *left)
     if (m->is_silent) return 0;
     double last = m->rows.used ? m->rows.data[m->rows.used - 1 - m->ncolumns] : NAN;
     int is_row = on_grid(m);
-    const double end = has_ended(m) ? m->t : m->end;
+    const double end = master_has_ended(m) ? m->t : m->end;
     while (m->every.is_given && blocks_grid(&m->every, m->row) <= m->t) m->row++;
     if (!m->has_jumps) {
         double *values = m->left_row + m->ncolumns;
@@ -1403,7 +1403,7 @@ static int controlled(Master *m, double limit)
         if (from < middle && middle < t1) {
             BACK();
             TO(middle);
-            if (m->t == middle && !has_ended(m)) {
+            if (m->t == middle && !master_has_ended(m)) {
                 TO(t1);
                 for (int g = 0; g < n; g++) {
                     if (m->elements[g].is_held) continue;
@@ -1570,7 +1570,7 @@ static int has_even_points(const Master *m, double stop)
         const MasterUnit *u = &m->units[k];
         const BlocksGrid *g = &u->grid;
         double number = nearbyint((stop * (double)g->unit - (double)g->start) / (double)g->step);
-        if (u->is_rigid && (u->t != m->t || blocks_grid(g, (int64_t)number) != stop)) return 0;
+        if (u->is_rigid && (u->t != m->t || (fabs(number) < 9e15 && blocks_grid(g, (int64_t)number) != stop))) return 0;
     }
     return 1;
 }
@@ -1585,7 +1585,7 @@ int master_run(Master *m, double stop)
         for (int k = 0; k < m->nunits; k++) m->units[k].t = m->t;
         return wrong ? MASTER_FAILED : m->t < stop ? MASTER_PAUSED : MASTER_DONE;
     }
-    while (m->t < stop && !has_ended(m)) {
+    while (m->t < stop && !master_has_ended(m)) {
         double limit = stop, edge = m->ntracks ? next_break(m, m->broken) : INFINITY;
         int calm;
         if (edge < limit && !blocks_within_ulps(edge, limit, 0.0)) limit = edge;
@@ -1714,7 +1714,7 @@ static int make_quick(const Master *m, const MasterUnit *u, MasterQuick *q)
 }
 
 /* Inputs held, one grid, no instants, and nothing to be converted or put in order. */
-static void make_all_quick(Master *m)
+void master_connect(Master *m)
 {
     int is_plain = m->is_uniform && !(m->needs_past || m->has_instants);
     for (int i = 0; i < m->nstages; i++) is_plain &= m->stages[i].loop < 0 && m->stages[i].is_plain;
@@ -1749,8 +1749,7 @@ int master_open(Master *m)
     m->start = m->broken = m->t;
     m->fresh = m->row = 0;
     if (!m->failure) {
-        take_segment(m, m->t);
-        make_all_quick(m);
+        master_connect(m);
     }
     return m->failure != MASTER_FINE;
 }
@@ -1791,16 +1790,28 @@ static int finish_start(Master *m, MasterUnit *u)
     return u->can_save ? try_to_save(m, u) : 0;
 }
 
-int master_start(Master *m)
+/* Outputs in initialization mode. */
+static int exchange(Master *m)
 {
-    int is_new = 0;
     m->failure = MASTER_FINE;
     m->depth = 0;
     m->is_starting = 1;
-    int wrong = 0;
-    for (int k = 0; k < m->nunits && !wrong; k++) /* before anything is known of their inputs */
-        if (m->units[k].kind == MASTER_NATIVE) wrong = begin_native(m, &m->units[k]);
-    wrong = wrong || evaluate(m, m->t);
+    take_segment(m, m->t);
+    for (int k = 0; k < m->nunits; k++) /* before anything is known of their inputs */
+        if (m->units[k].kind == MASTER_NATIVE && begin_native(m, &m->units[k])) return 1;
+    return evaluate(m, m->t);
+}
+
+int master_foresee(Master *m)
+{
+    int wrong = exchange(m);
+    m->is_starting = 0;
+    return wrong ? MASTER_FAILED : MASTER_DONE;
+}
+
+int master_start(Master *m)
+{
+    int is_new = 0, wrong = exchange(m);
     for (int k = 0; k < m->nunits && !wrong; k++) {
         take_inputs(m, &m->units[k], m->t);
         wrong = put(m, &m->units[k], m->units[k].sets, m->units[k].nsets);
@@ -1823,6 +1834,50 @@ int master_start(Master *m)
     }
     m->fresh = !is_new;
     return measure(m, 1.0) || record(m, NULL) ? MASTER_FAILED : MASTER_DONE;
+}
+
+/* --- going back from outside ---------------------------------------------------------------------------------------------- */
+
+#define WALK(number) blocks_walk(w, &(number), sizeof(number))
+#define WALK_ROW(row, count) blocks_walk(w, row, (size_t)(count) * sizeof *(row))
+
+static void walk_unit(BlocksWalk *w, MasterUnit *u)
+{
+    const int32_t n = u->ninputs;
+    WALK(u->way), WALK(u->can_save), WALK(u->next), WALK(u->t), WALK(u->next_t), WALK(u->begin), WALK(u->reached), WALK(u->kept_t);
+    WALK(u->uncounted), WALK(u->over_t), WALK(u->is_over), WALK(u->takes), WALK(u->is_bent), WALK(u->waits), WALK(u->late_t);
+    WALK(u->begins), WALK(u->has_saved), WALK(u->is_due);
+    WALK_ROW(u->inputs, n), WALK_ROW(u->courses, 3 * n), WALK_ROW(u->known, n);
+    if (u->kind != MASTER_NATIVE) return;
+    BlocksSim *s = u->component;
+    int32_t has_polynomials = s->polynomials != NULL, had;
+    WALK_ROW(u->terms, 4 * n), WALK_ROW(u->track, n), WALK(u->polynomials.t0);
+    s->keeps_past = 0; /* who comes back from outside needs all of it */
+    blocks_walk_run(w, s);
+    s->keeps_past = 1;
+    WALK(s->flowed), WALK(has_polynomials);
+    if (!w->writes || !w->at || w->failed) return;
+    s->polynomials = has_polynomials ? &u->polynomials : NULL;
+    s->fired_events.used = 0;
+    had = s->has_first;
+    const double sides_t = s->sides_t;
+    CALL(Reload, u, CALL_reload)(s);
+    s->has_first = had;
+    s->is_factored = 0;
+    s->sides_t = sides_t;
+}
+
+void master_walk(BlocksWalk *w, Master *m)
+{
+    const int64_t n = m->nelements, e = m->nexchanged;
+    int64_t nu = 0;
+    for (int j = 0; j < m->ntracks; j++) nu += m->tracks[j].size;
+    WALK(m->is_doubled), WALK(m->first_step), WALK(m->t), WALK(m->broken), WALK(m->h), WALK(m->row), WALK(m->fresh);
+    WALK(m->has_inverse), WALK(m->inverse_h), WALK(m->small), WALK(m->worst), WALK(m->crowd);
+    WALK(m->steps), WALK(m->rejected), WALK(m->instants), WALK(m->iterated);
+    WALK_ROW(m->y, n), WALK_ROW(m->past, n), WALK_ROW(m->base, nu), WALK_ROW(m->aim, nu), WALK_ROW(m->begin, nu), WALK_ROW(m->finish, nu);
+    if (m->inverse) WALK_ROW(m->inverse, e * e);
+    for (int k = 0; k < m->nunits; k++) walk_unit(w, &m->units[k]);
 }
 
 const int64_t master_sizes[] = {

@@ -196,6 +196,11 @@ typedef struct {
 /* Make its own copies of all tables, and the memory that it computes with: 1 where there is none. */
 BLOCKS_API int master_open(Master *m);
 BLOCKS_API void master_close(Master *m);
+void master_connect(Master *m);                                   /* once the functions of all groups are known */
+int master_foresee(Master *m);                                    /* outputs in initialization, by the inputs as they are */
+int master_has_ended(const Master *m);
+int master_values(Master *m, const MasterLink *links, int n, double *out); /* 1: one is not finite */
+void master_walk(BlocksWalk *w, Master *m);                       /* all that changes in a run, but for the states of FMUs */
 /* The exchange of outputs and inputs, the end of the initialization and the instant at the start. FMUs are in initialization
    mode, with their parameters. */
 BLOCKS_API int master_start(Master *m);

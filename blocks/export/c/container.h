@@ -1,0 +1,78 @@
+/* What the exporter writes of a diagram with FMUs for Co-Simulation, beside fmu_model: tables that do not change. */
+#ifndef BLOCKS_CONTAINER_H
+#define BLOCKS_CONTAINER_H
+
+#include "fmu.h"
+#include "fmu_model.h"
+#include "master.h"
+
+/* Values that a setting, or a text, gives a parameter or a start value of an FMU. */
+typedef struct {
+    uint32_t reference;
+    int32_t type;                 /* of fmu_types.h; -1: a text */
+    int32_t is_size;              /* a structural parameter, which is set first */
+    int32_t first, count;         /* of the settings; of a text 0 and 1 */
+    double scale, offset;         /* what 1 and 0 of the FMU are in SI */
+    const double *told;           /* (count) what the FMU has by its description; null: it is always set */
+    const char *text;
+} ContainerParameter;
+
+/* An FMU, by its place among the units. folder: in resources. heard: categories of its messages that are asked for. */
+typedef struct {
+    const char *name, *folder, *identifier, *token;
+    int32_t fmi, unit, event_mode, early_return, follows_updates, has_tolerance, serializes;
+    double tolerance; /* where the importer gives none */
+    int32_t nmoving, nparameters, nheard;
+    const uint32_t *moving; /* inputs that are set within steps */
+    const ContainerParameter *parameters;
+    const char *const *heard;
+} ContainerFmu;
+
+/* Some parameters of all blocks, from `from` on, are those of an island from `to` on. */
+typedef struct {
+    int32_t from, to, count;
+} ContainerPiece;
+
+/* Blocks with equations, by their place among the units. */
+typedef struct {
+    FmuRun run;
+    int32_t unit, npieces;
+    const ContainerPiece *pieces;
+} ContainerIsland;
+
+typedef struct {
+    const Master *master;
+    int32_t nislands, nfmus, nparameters, saves, serializes;
+    const ContainerIsland *islands;
+    const ContainerFmu *fmus;
+    const MasterLink *outputs, *locals;
+    const char *const *moves, *const *moved; /* by the number of a call: its function, and its variables */
+    const char *const *units, *const *elements, *const *output_names;
+    double length; /* of the run that is exported, s */
+} Container;
+
+extern const Container container;
+/* By the version of FMI (2, 3) less 2: the functions of master.h, and what sets or gets a type of fmu_types.h. */
+extern const char *const container_calls[2][CALLS_OF_FMI], *const container_types[2][BLOCKS_TYPES];
+
+/* --- one FMU inside; inner_fmu.c ---- */
+typedef struct InnerFmu InnerFmu;
+
+/* Loaded and instantiated; null where that fails, and it was told why. resources: the folder of the container's. */
+InnerFmu *inner_new(Fmu *owner, const ContainerFmu *what, const char *resources);
+/* Fill the functions of its unit, and of calls that move values. */
+int inner_connect(InnerFmu *in, MasterUnit *u);
+int inner_connect_groups(InnerFmu *in, MasterGroup *groups, int n, const char *way);
+/* Up to initialization mode, with its parameters by the settings. */
+int inner_begin(InnerFmu *in, const double *settings, int has_tolerance, double tolerance, double start, int has_stop, double stop);
+void inner_terminate(InnerFmu *in, int is_running);
+void inner_lose(InnerFmu *in); /* after a fatal error no function of it is called any more */
+void inner_free(InnerFmu *in);
+int inner_get_state(InnerFmu *in, void **state);
+int inner_set_state(InnerFmu *in, void *state);
+void inner_free_state(InnerFmu *in, void **state);
+/* The bytes of a state, from malloc; null where it gives none. */
+unsigned char *inner_serialize(InnerFmu *in, void *state, size_t *size);
+int inner_deserialize(InnerFmu *in, const unsigned char *bytes, size_t size, void **state);
+
+#endif
