@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean, sentence_of
 from ..text.quantity_text import quantity_in, quantity_of
 from .plan import Plan
+
+if TYPE_CHECKING:
+    from .coupling import Coupling
 
 _BOOLS = {"true": 1, "false": 0}
 MAX_CSV_BYTES = 512 * 2**20
