@@ -51,8 +51,9 @@ int fmu_say(Fmu *f, int status, int category, const char *format, ...)
     return status;
 }
 
-Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *owner)
+Fmu *fmu_new(int kind, const char *name, const char *token, const char *resources, FmuLog log, void *owner)
 {
+    (void)resources;
     Fmu *f = name[0] && !strcmp(token, "{one-state}") ? calloc(1, sizeof *f) : NULL;
     if (!f) {
         if (log)
