@@ -666,9 +666,9 @@ class Instance:
             state = ctypes.c_void_p(address)
             raw._quietly(full_name("FreeFMUState", self.fmi), raw.component, ctypes.byref(state))
 
-    def hand_over(self) -> None:
-        """Compiled code may end the initialization: the run is to be terminated at its end."""
-        self._raw.must_terminate = True
+    def hand_over(self, *, has_begun: bool = False) -> None:
+        """Compiled code may end the initialization: the run must be terminated at its end. has_begun: it did."""
+        self._raw.must_terminate, self._raw.has_begun = True, has_begun
 
     def raise_inside(self) -> None:
         """Raise what was raised in a callback, while compiled code called."""

@@ -281,7 +281,7 @@ class NativeMaster(CoupledRun):
             self._failed()
         for running in self.units:
             if isinstance(running, FmuUnit):
-                running.one.hand_over()
+                running.one.hand_over(has_begun=True)
                 running.one.forget_words()
                 running.one.raise_inside()
         self._watch()
