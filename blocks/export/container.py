@@ -124,7 +124,7 @@ class InnerFmus:
             d = unit.foreign.described
             folder = self.folders[unit.foreign.path]
             told = [f"{d.name}, FMI {d.version}", *(text for text in (d.tool, d.author, d.copyright) if text)]
-            yield unit.path, f"resources/{folder}: {', '.join(told)}", d.license or "no license is given"
+            yield unit.path, f"resources/{folder}: {', '.join(told)}", d.license or "not given"
 
 
 # --- variables ---------------------------------------------------------------------------------------------------

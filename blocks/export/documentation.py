@@ -60,6 +60,10 @@ def index_html(model: Model, drawing: str) -> str:
             parts += [f"<h2>{title}</h2>", "<table>", *_rows(variables[:MOST]), "</table>"]
         if len(variables) > MOST:
             parts.append(f"<p>and {len(variables) - MOST} more</p>")
+    if model.inside:
+        parts += ["<h2>FMUs inside</h2>", "<table>", "<tr><th>name</th><th>files</th><th>license</th></tr>"]
+        parts += [f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in model.inside]
+        parts.append("</table>")
     return "\n".join([*parts, "</body></html>"]) + "\n"
 
 

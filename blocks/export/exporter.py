@@ -35,6 +35,7 @@ from ..compile.toolchain.compiler import TranslationUnit
 from ..compile.toolchain.platforms import check_compilers, folders, shared_library
 from ..contract.enumerations import resting
 from ..fmi.headers import standard_headers
+from ..fmi.summary import first_words
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..text.atomic_write import write_atomically
@@ -336,7 +337,11 @@ class _MadeContainer(_Made):
         self.headers = {name: text for name, text in master.items() if name.endswith(".h")} | _c_files("container.h")
         names = self._completed()
         self._signed(tables, self._container(coupling, variables, dependencies, names, code))
-        self.notes = tuple(variables.notes)
+        told = (f"inside: {path} ({what}; license: {first_words(text)})" for path, what, text in self.model.inside)
+        isolated = [unit.path for _, unit in self.inner.units if unit.foreign is not None and unit.foreign.isolate]
+        self.notes = (*told, *variables.notes)
+        if isolated:
+            self.notes += (f"not in processes of their own there: {', '.join(isolated)}",)
 
     def _container(
         self, coupling: Coupling, variables: ContainerVariables, dependencies: Dependencies, names: tuple[str, ...],

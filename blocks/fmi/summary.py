@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..text.errors import Fault
@@ -21,6 +22,7 @@ MORE = ("calculatedParameter", "local")
 """Groups that are shown only where all variables are asked for."""
 MOST = 30
 """Variables of one group that are shown, unless all are asked for."""
+_INSIDE = re.compile(rf"(resources/[^/]+/)+{re.escape(DESCRIPTION)}")
 LONGEST = 80
 """Characters of a license that are shown."""
 
@@ -28,7 +30,8 @@ LONGEST = 80
 @dataclass(frozen=True)
 class Told:
     """The summary of an FMU. verdicts: for each kind the faults that a run of it here would have.
-    of_python: the kinds whose binary takes symbols of Python from the program that loads it."""
+    of_python: the kinds whose binary takes symbols of Python from the program that loads it. inside: the descriptions
+    of the FMUs in its resources, by their folders."""
 
     place: str
     description: Description
@@ -37,6 +40,7 @@ class Told:
     bytes: int
     verdicts: Mapping[str, tuple[Fault, ...]]
     of_python: tuple[str, ...] = ()
+    inside: Mapping[str, Description] = field(default_factory=dict)
 
     @property
     def errors(self) -> tuple[Fault, ...]:
@@ -64,7 +68,7 @@ class Told:
         d, e, cs = self.description, self.description.experiment, self.description.interface("CS")
         yield f"{self.place}: {d.name}, FMI {d.version}, {_kinds(d)}"
         yield from textwrap.wrap(d.doc, 100, initial_indent="  ", subsequent_indent="  ")
-        told = {"made by": d.tool, "on": d.date, "author": d.author, "license": _first_words(d.license)}
+        told = {"made by": d.tool, "on": d.date, "author": d.author, "license": first_words(d.license)}
         if shown := ", ".join(f"{word} {text}" for word, text in told.items() if text):
             yield f"  {shown}"
         yield f"  binaries: {', '.join([*self.platforms, *(['sources'] if self.has_sources else [])]) or 'none'}"
@@ -76,6 +80,10 @@ class Told:
             yield f"  meant to be run with: {known}"
         counts = ((len(d.variables), "variable"), (len(d.structure.states), "continuous state"))
         yield f"  {', '.join(_counted(n, what) for n, what in (*counts, (d.indicators, 'event indicator')))}"
+        for folder, one in self.inside.items():
+            depth, license_ = folder.count("resources/"), first_words(one.license)
+            words = [f"{folder}: {one.name}, FMI {one.version}, {_kinds(one)}", license_ and f"license {license_}"]
+            yield f"{'  ' * depth}inside: {', '.join(filter(None, words))}"
 
     def check(self) -> str:
         """The text of `blocks fmu check`."""
@@ -111,6 +119,9 @@ class Told:
             ],
             "enumerations": {name: dict(type_.members) for name, type_ in d.types.items() if type_.members},
             "runs": {kind: not any(f.code.startswith("E") for f in verdict) for kind, verdict in self.verdicts.items()},
+            "inside": [
+                {"folder": folder, "name": one.name, "fmi": one.version} for folder, one in self.inside.items()
+            ],
             "faults": [str(fault) for verdict in self.verdicts.values() for fault in verdict],
             "warnings": [str(fault) for fault in d.warnings],
         }  # fmt: skip
@@ -130,14 +141,20 @@ def tell(path: str | os.PathLike[str]) -> Told:
             name: there[name] for name in sorted(there, key=lambda name: (name not in folders(description.fmi), name))
         }
         of_python = tuple(kind for kind in kinds if takes_symbols_of_python(archive, description, kind))
-        return Told(archive.place, description, ordered, has_sources, os.path.getsize(path), verdicts, of_python)
+        inside = {
+            name.removesuffix(f"/{DESCRIPTION}"): parse(archive.read(name), f"{archive.place}/{name}")
+            for name in archive.files
+            if _INSIDE.fullmatch(name)
+        }
+        size = os.path.getsize(path)
+        return Told(archive.place, description, ordered, has_sources, size, verdicts, of_python, inside)
 
 
 def _counted(n: int, what: str) -> str:
     return f"{n} {what}{'' if n == 1 else 's'}"
 
 
-def _first_words(text: str) -> str:
+def first_words(text: str) -> str:
     """Return the first line of a text, cut after a word; some FMUs hold a whole license."""
     line = next(iter(text.strip().splitlines()), "")
     return textwrap.shorten(line, LONGEST, placeholder=" ...") if len(line) > LONGEST else line

@@ -411,8 +411,8 @@ def test_a_variant_is_chosen_on_the_command_line(tmp_path: Path, capsys: pytest.
     ):
         assert main(["run", robot, *words]) == code
         assert text in capsys.readouterr().err
-    assert main(["export", robot, "-o", str(tmp_path / "x.fmu")]) == 2
-    assert "E606 motor_right: is an FMU, and an exported FMU cannot contain another FMU." in capsys.readouterr().err
+    assert main(["export", robot, "-o", str(tmp_path / "x.fmu"), "--kind", "ME"]) == 2
+    assert "E606 iadrc_fmu: has FMUs for Co-Simulation inside" in capsys.readouterr().err
 
 
 def test_check_warns_of_what_run_refuses_and_says_how_to_trust_it(

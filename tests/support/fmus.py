@@ -36,7 +36,7 @@ DIAGRAMS = ROOT / "diagrams"
 FILES = sorted(
     path.relative_to(DIAGRAMS).with_suffix("").as_posix()
     for path in DIAGRAMS.rglob("*.json")
-    if path.stem not in ("study", "tuned", "iadrc_fmu")  # an FMU holds no FMUs
+    if path.stem not in ("study", "tuned", "iadrc_fmu")  # its FMU is a container: test_container.py
 )
 """Every diagram of the repository that can be exported, as "paper/robot"."""
 
