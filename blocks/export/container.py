@@ -32,6 +32,7 @@ from ..compile.setting_programs import Setting
 from ..compile.toolchain.platforms import folder_of, suffix_of
 from ..fmi.archive import Archive
 from ..fmi.calls import FAILURES
+from ..fmi.trace import trace_names
 from ..fmi.types import NUMBERS, call_of, call_of_code, code_of, full_name
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
@@ -379,7 +380,21 @@ class ContainerCode:
             "nmoving": len(moving), "moving": self.place.array(moving, "uint32"),
             "nparameters": len(parameters), "parameters": self.place.structures("ContainerParameter", parameters),
             "nheard": len(heard), "heard": self.place.texts(heard),
+            **self._names(unit),
         }  # fmt: skip
+
+    def _names(self, unit: CoupledUnit) -> Fields:
+        """The names of the variables that are set and read, in the order of trace.h."""
+        foreign = unit.foreign
+        assert foreign is not None
+        used = {slot.variable.name: slot.variable for slot in (*unit.slots_in, *unit.slots_out)}
+        given = {foreign.variables[name].name: foreign.variables[name] for name in unit.values if name in foreign.variables}
+        rows = trace_names([*used.values(), *given.values()], foreign.description.fmi)
+        fields = [
+            {"reference": reference, "call": call, "size": size, "name": _text(name)}
+            for call, reference, size, name in rows
+        ]
+        return {"nnames": len(fields), "names": self.place.structures("BlocksTraceName", fields)}
 
     def _parameters(self, unit: CoupledUnit) -> Iterator[Fields]:
         """The parameters and start values of an FMU, as `set_up` of the master's units sets them."""

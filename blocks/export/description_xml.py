@@ -29,6 +29,8 @@ LOG_CATEGORIES = {
     "logAll": "All messages",
 }
 """Categories of messages with what they hold, in the order of the file."""
+LOG_TRACE = {"logTrace": "Each call of the FMUs inside; not in logAll, and to be chosen before initialization"}
+"""The category of diagrams with FMUs."""
 
 # The values of `initial` that both versions allow for each causality and variability, the default first.
 _INITIAL = {
@@ -134,7 +136,8 @@ def _description(model: Model, fmi: int) -> _Element:
         "tolerance": None if model.tolerance is None else _number(model.tolerance),
         "stepSize": None if model.step is None else _number(model.step),
     }
-    categories = (_Element("Category", {"name": key, "description": text}) for key, text in LOG_CATEGORIES.items())
+    known = LOG_CATEGORIES if model.container is None else LOG_CATEGORIES | LOG_TRACE
+    categories = (_Element("Category", {"name": key, "description": text}) for key, text in known.items())
     if fmi == 2:
         index = {reference: i + 1 for reference, i in _positions(model).items()}
         variables = [_variable_2(variable, model, types, index) for variable in model.variables]

@@ -34,7 +34,9 @@ from ..compile.tableaus import STIFF
 from ..compile.toolchain.compiler import TranslationUnit
 from ..compile.toolchain.platforms import check_compilers, folders, shared_library
 from ..contract.enumerations import resting
+from ..fmi import trace
 from ..fmi.headers import standard_headers
+from ..fmi.isolation import packaged_texts
 from ..fmi.summary import first_words
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
@@ -52,6 +54,8 @@ NAMES = {"CS": "Co-Simulation", "ME": "Model Exchange"}
 KINDS = tuple(NAMES)
 _TIME = (1980, 1, 1, 0, 0, 0)  # the first one that ZIP knows: files have no dates
 _TOKEN = "{00000000-0000-0000-0000-000000000000}"
+_INSIDE = "#define BLOCKS_INSIDE 1\n"
+"""Of a part of the library: nothing but the functions of the standard is seen from outside."""
 
 
 @dataclass(frozen=True)
@@ -240,8 +244,7 @@ class _Made:
         self.sources |= _c_files(f"fmi{fmi}.c")
         own = _c_files("fmu.h", "fmu_model.h", "fmu_values.h", "standard.h")
         self.headers |= {**packaged(*RUNTIME), **own, **standard_headers(fmi)}
-        # A part of the library: nothing but the functions of the standard is seen from outside.
-        self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]
+        self.headers["runtime.h"] = _INSIDE + self.headers["runtime.h"]
         return tuple(sorted((*self.sources, "tables.c")))
 
     def _signed(self, tables: str, model: Model) -> None:
@@ -334,7 +337,10 @@ class _MadeContainer(_Made):
             self.sources |= packaged("jacobian.c")
         for text in code.models.values():
             self.sources |= packaged(*loop_units(text))
+        self.sources |= packaged_texts(*trace.SOURCES)
         self.headers = {name: text for name, text in master.items() if name.endswith(".h")} | _c_files("container.h")
+        self.headers |= packaged_texts(*trace.HEADERS)
+        self.headers["trace.h"] = _INSIDE + self.headers["trace.h"]
         names = self._completed()
         self._signed(tables, self._container(coupling, variables, dependencies, names, code))
         told = (f"inside: {path} ({what}; license: {first_words(text)})" for path, what, text in self.model.inside)

@@ -79,7 +79,7 @@ def isolated(
     order = libraries.with_neighbors(path, place)
     folder = folder or path.parent.with_name(f"{path.parent.name}-isolated")
     try:
-        headers = packaged_headers()
+        headers = _headers()
         proxy = compiled(packaged_texts("proxy.c", f"proxy{fmi}.c"), headers, program=False).read_bytes()
         program = compiled(packaged_texts("host.c", "host2.c", "host3.c"), headers, program=True).read_bytes()
     except CompilerError as error:
@@ -140,8 +140,7 @@ def packaged_texts(*names: str) -> Mapping[str, str]:
 
 
 @functools.cache
-def packaged_headers() -> Mapping[str, str]:
-    """Return all headers of this package, by their names."""
+def _headers() -> Mapping[str, str]:
     return {path.name: path.read_text(encoding="utf-8") for path in sorted(_HERE.glob("*.h"))}
 
 

@@ -15,13 +15,13 @@ import ctypes
 import math
 import os
 import weakref
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..text.errors import Fault, UsageError
-from .isolation import CompileC, packaged_headers, packaged_texts
-from .model_description import Description
+from .isolation import CompileC, packaged_texts
+from .model_description import Description, ModelVariable
 from .types import call_of
 
 HEAD, TAIL = 8 * 2**20, 4 * 2**20
@@ -29,7 +29,9 @@ HEAD, TAIL = 8 * 2**20, 4 * 2**20
 LINES = ".jsonl"
 """The suffix of files with one JSON object on each line."""
 _FUNCTIONS = 96  # as in trace.h
-_SOURCES = ("trace.c", "trace2.c", "trace3.c")
+SOURCES = ("trace.c", "trace2.c", "trace3.c")
+HEADERS = ("trace.h", "trace_calls.h", "calls.h", "calls2.h", "calls3.h", "fmi2.h", "fmi3.h")
+"""The files of the shims, and what these include."""
 _P, _L = ctypes.c_void_p, ctypes.c_int64
 
 
@@ -64,7 +66,7 @@ class Tracer:
     """
 
     def __init__(self, compiled: CompileC, *, profiles: bool = False) -> None:
-        path = compiled(packaged_texts(*_SOURCES), packaged_headers(), program=False)
+        path = compiled(packaged_texts(*SOURCES), packaged_texts(*HEADERS), program=False)
         self.library = _declared(ctypes.CDLL(str(path), use_errno=True))
         self.profiles = profiles
         self.paths: Collection[str] = ()
@@ -125,12 +127,15 @@ class Traced:
     ) -> None:
         self.tracer, self.path, self.categories, self.component = tracer, path, categories, 0
         self._library = tracer.library
-        names = _names(description)
+        rows = trace_names(description.variables, description.fmi)
+        names = (_Name * max(len(rows), 1))(
+            *(_Name(reference, call, size, name.encode("utf-8", "replace")) for call, reference, size, name in rows)
+        )
         states = [state.name.encode() for state in description.structure.states]
         # C reads them as long as the trace is there.
         self._kept = path.encode(), names, (ctypes.c_char_p * max(len(states), 1))(*states)
         self._handle: int = self._library.blocks_trace_instance(
-            trace, self._kept[0], self._kept[1], len(names), self._kept[2], len(states)
+            trace, self._kept[0], names, len(rows), self._kept[2], len(states)
         )
 
     def address(self, name: str, original: int) -> int:
@@ -181,17 +186,14 @@ class Traced:
         return found
 
 
-def _names(description: Description) -> Any:
-    """The variables as C finds them: by call and reference. Of names of one value, that of a port is taken."""
-    fmi = description.fmi
-    rows: dict[tuple[int, int], tuple[bool, int, bytes]] = {}
-    for variable in description.variables:
+def trace_names(variables: Iterable[ModelVariable], fmi: int) -> list[tuple[int, int, int, str]]:
+    """Return call, reference, size and name of variables as C finds them, sorted. Of names of one value, one is taken:
+    that of a port."""
+    rows: dict[tuple[int, int], tuple[bool, int, str]] = {}
+    for variable in variables:
         letter = call_of(variable.type, fmi)[:1]
         key = ord(letter) if fmi == 2 and letter else 0, variable.reference
         is_port = variable.causality in ("input", "output")
         if key not in rows or (is_port and not rows[key][0]):
-            rows[key] = is_port, math.prod(variable.shape), variable.name.encode("utf-8", "replace")
-    made = (_Name * max(len(rows), 1))()
-    for at, (key, (_, size, name)) in enumerate(sorted(rows.items())):
-        made[at] = _Name(key[1], key[0], size, name)
-    return made if rows else (_Name * 0)()
+            rows[key] = is_port, math.prod(variable.shape), variable.name
+    return [(*key, size, name) for key, (_, size, name) in sorted(rows.items())]

@@ -5,6 +5,7 @@
 #include "fmu.h"
 #include "fmu_model.h"
 #include "master.h"
+#include "trace.h"
 
 /* Values that a setting, or a text, gives a parameter or a start value of an FMU. */
 typedef struct {
@@ -22,10 +23,11 @@ typedef struct {
     const char *name, *folder, *identifier, *token;
     int32_t fmi, unit, event_mode, early_return, follows_updates, has_tolerance, serializes;
     double tolerance; /* where the importer gives none */
-    int32_t nmoving, nparameters, nheard;
+    int32_t nmoving, nparameters, nheard, nnames;
     const uint32_t *moving; /* inputs that are set within steps */
     const ContainerParameter *parameters;
     const char *const *heard;
+    const BlocksTraceName *names; /* of its variables, for traces of its calls */
 } ContainerFmu;
 
 /* Some parameters of all blocks, from `from` on, are those of an island from `to` on. */

@@ -26,7 +26,7 @@ enum {
 };
 
 /* Categories of messages. */
-enum { FMU_LOG_EVENTS = 1 << 0, FMU_LOG_WARNING = 1 << 1, FMU_LOG_ERROR = 1 << 2, FMU_LOG_NONLINEAR = 1 << 3 };
+enum { FMU_LOG_EVENTS = 1 << 0, FMU_LOG_WARNING = 1 << 1, FMU_LOG_ERROR = 1 << 2, FMU_LOG_NONLINEAR = 1 << 3, FMU_LOG_TRACE = 1 << 4 };
 
 /* Types of variables. Integers and enumerations are whole numbers in doubles; a bool is 0 or 1. */
 enum { FMU_REAL = 0, FMU_INTEGER, FMU_BOOLEAN, FMU_ENUMERATION, FMU_STRING };

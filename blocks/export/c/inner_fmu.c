@@ -80,6 +80,8 @@ struct InnerFmu {
     char *resources;
     int is_lost, must_terminate, is_silent;
     Callbacks2 callbacks;
+    BlocksTrace *trace; /* null: its calls are not traced; else `component` is `traced` */
+    BlocksTraced *traced;
 };
 
 static char *text_of(const char *format, ...)
@@ -231,12 +233,38 @@ static char *path_of(const char *given)
     return made;
 }
 
-/* The function of this name; null where the library has none. */
+/* The function of this full name; null where the library has none. */
+static void *bound(const InnerFmu *in, const char *name)
+{
+    void *function = symbol(in->library, name);
+    return function && in->traced ? blocks_trace_shim(in->traced, name, function) : function;
+}
+
+/* The same of a name without "fmi3". */
 static void *found(const InnerFmu *in, const char *name)
 {
     char full[100];
     snprintf(full, sizeof full, "fmi%d%s", in->what->fmi, name);
-    return symbol(in->library, full);
+    return bound(in, full);
+}
+
+/* A call, and those within it: a message for each line. */
+static void say_calls(void *inner, const char *lines)
+{
+    InnerFmu *in = inner;
+    for (const char *end; !in->is_silent && (end = strchr(lines, '\n')); lines = end + 1)
+        fmu_say(in->owner, FMU_OK, FMU_LOG_TRACE, "%.*s", (int)(end - lines), lines);
+}
+
+/* From now on the calls of the FMU are messages of the container. */
+static void trace_calls(InnerFmu *in)
+{
+    if (in->traced || !(fmu_logs(in->owner) & FMU_LOG_TRACE)) return;
+    in->trace = blocks_trace_new(NULL, 0, 0, 0, say_calls, in);
+    if (in->trace) in->traced = blocks_trace_instance(in->trace, in->what->name, in->what->names, in->what->nnames, NULL, 0);
+    if (!in->traced) return;
+    in->traced->component = in->component;
+    in->component = in->traced;
 }
 
 #define FOUND(type, name) (*(type *)&(void *){found(in, name)})
@@ -346,6 +374,7 @@ void inner_free(InnerFmu *in)
     in->is_silent = 1; /* nobody may listen any more */
     if (in->component && !in->is_lost && found(in, "FreeInstance")) FOUND(Free, "FreeInstance")(in->component);
     if (in->library && !in->is_lost) unload(in->library);
+    if (in->trace) blocks_trace_free(in->trace);
     free(in->resources);
     free(in);
 }
@@ -354,8 +383,9 @@ void inner_free(InnerFmu *in)
 
 int inner_connect(InnerFmu *in, MasterUnit *u)
 {
+    trace_calls(in);
     u->component = in->component;
-    for (int k = 0; k < CALLS_OF_FMI; k++) u->calls[k] = symbol(in->library, container_calls[in->what->fmi - 2][k]);
+    for (int k = 0; k < CALLS_OF_FMI; k++) u->calls[k] = bound(in, container_calls[in->what->fmi - 2][k]);
     const int needed[] = {CALL_DoStep, CALL_ExitInitializationMode, CALL_GetFMUState, CALL_SetFMUState, CALL_EnterEventMode,
                           CALL_UpdateDiscreteStates, CALL_EnterStepMode};
     for (int i = 0; i < (u->has_instants ? 7 : u->can_save ? 4 : 2); i++) {

@@ -62,6 +62,7 @@ static const struct {
     {"logStatusWarning", FMU_LOG_WARNING},
     {"logStatusError", FMU_LOG_ERROR},
     {"logNonlinearSystems", FMU_LOG_NONLINEAR},
+    {"logTrace", FMU_LOG_TRACE}, /* not in logAll: there are several in each step */
     {"logAll", FMU_LOG_EVENTS | FMU_LOG_WARNING | FMU_LOG_ERROR | FMU_LOG_NONLINEAR}
 };
 enum { NCATEGORIES = sizeof CATEGORIES / sizeof CATEGORIES[0], ALL_CATEGORIES = NCATEGORIES - 1 };

@@ -10,7 +10,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#if defined(_WIN32)
+#if defined(BLOCKS_INSIDE)
+#define TRACE_API
+#elif defined(_WIN32)
 #define TRACE_API __declspec(dllexport)
 #else
 #define TRACE_API __attribute__((visibility("default")))
