@@ -388,8 +388,8 @@ class ContainerCode:
         foreign = unit.foreign
         assert foreign is not None
         used = {slot.variable.name: slot.variable for slot in (*unit.slots_in, *unit.slots_out)}
-        given = {foreign.variables[name].name: foreign.variables[name] for name in unit.values if name in foreign.variables}
-        rows = trace_names([*used.values(), *given.values()], foreign.description.fmi)
+        used |= {variable.name: variable for name, variable in foreign.variables.items() if name in unit.values}
+        rows = trace_names(used.values(), foreign.description.fmi)
         fields = [
             {"reference": reference, "call": call, "size": size, "name": _text(name)}
             for call, reference, size, name in rows

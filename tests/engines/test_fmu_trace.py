@@ -259,6 +259,31 @@ def test_messages_of_chosen_categories_are_in_the_trace(tmp_path: Path) -> None:
         made.run(**words, log_categories=["logEvnts"])
 
 
+@each_fmi
+@pytest.mark.parametrize("outer", [2, 3])
+def test_a_diagram_as_an_fmu_reports_the_calls_of_the_fmus_inside(outer: int, fmi: int, tmp_path: Path) -> None:
+    """They are those of the same diagram in Python, word for word."""
+    diagram = ring(logging(tmp_path, fmi, feeds=False, is_plain=True))
+    diagram.output("y", "a.y")
+    diagram.settings(stop=0.05, every=0.01, master={"step": 0.01, "order": 0})
+    diagram.run(engine="native", trace="*", trace_file=tmp_path / "own.log")
+    diagram.export(tmp_path / "whole.fmu", fmi=outer)
+    whole = Diagram.alone(fmu(tmp_path / "whole.fmu", "CS"))
+    words: dict[str, Any] = {"stop": 0.05, "every": 0.01, "master": {"step": 0.01}}
+    file = tmp_path / "c.jsonl"
+    traced = whole.run(**words, trace="*", trace_file=file, log_categories="logTrace")
+    same_bits(whole.run(**words), traced)
+    said = [row["text"].split() for row in rows_of(file) if row.get("category") == "logTrace"]
+    own = [line.split() for line in (tmp_path / "own.log").read_text().splitlines()[1:]]
+    assert len(said) > 40
+    for name in ("a", "b"):
+        inside, alone = ([[line[1], *line[4:]] for line in lines if line[5] == name] for lines in (said, own))
+        first, other = (next(k for k, line in enumerate(lines) if "DoStep" in line[3]) for lines in (inside, alone))
+        ended = [line for line in alone[other:] if line[3][4:] not in ("Terminate", "FreeInstance")]
+        assert inside[first - 1 : first + len(ended)] == [alone[other - 1], *ended]
+        assert any("InitializationMode" in line[3] for line in inside[:first])
+
+
 def test_runs_in_threads_keep_their_traces_apart(tmp_path: Path) -> None:
     path = make(tmp_path)
     model = Diagram("one")

@@ -340,7 +340,7 @@ static void put_variables(BlocksTraceCall *call, int kind, const void *values, s
             if (first + size > n) size = n - first;
         }
         put_label(call, name_of(call, call->references[i], room, sizeof room));
-        if (n == call->nreferences) put_element(text_of(call), kind, values, first, call->is_json);
+        if (n == call->nreferences || (size == 1 && call->nreferences > 1)) put_element(text_of(call), kind, values, first, call->is_json);
         else put_array(text_of(call), kind, values, first, size, call->is_json);
         first += size, shown += size;
     }
