@@ -438,4 +438,3 @@ def _type_names() -> list[list[str]]:
         [of_2.get(code, "") for code in codes],
         [call_of_code(code, 3) if code < len(NUMBERS) else "" for code in codes],
     ]
-

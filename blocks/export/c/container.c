@@ -360,23 +360,31 @@ static int begin(Fmu *f)
     return FMU_OK;
 }
 
-/* The instance as it is to be read: begun where it has not been, with all that was set. */
+/* The instance as it is to be read: begun where it has not been, with outputs by all that was set. What inputs cause
+   happens later, as the next step begins, or in event mode. */
 static int ready(Fmu *f)
 {
     Live *live = &f->live;
-    int status = FMU_OK;
     if (live->mode == FMU_FAILED || live->mode == FMU_TERMINATED) return FMU_OK;
+    if (live->set) live->known &= ~SHOWN;
     if (live->mode <= FMU_INITIALIZATION) {
         if (live->set & SETTINGS_SET) live->known = 0;
-        if (live->set) live->known &= ~SHOWN;
-        status = begin(f);
+        if (begin(f)) return FMU_ERROR;
         live->set = 0;
-        if (!status && !(live->known & SHOWN)) status = master_foresee(&f->master) == MASTER_FAILED ? failed(f) : FMU_OK;
-        if (!status) live->known |= SHOWN;
-        return status;
     }
-    if (live->set & INPUTS_SET && master_changed(&f->master, 1) == MASTER_FAILED) return failed(f);
-    live->set = 0;
+    if (live->known & SHOWN) return FMU_OK;
+    if ((live->set || live->mode <= FMU_INITIALIZATION) && master_foresee(&f->master) == MASTER_FAILED) return failed(f);
+    live->known |= SHOWN;
+    return FMU_OK;
+}
+
+/* What was set acts now. */
+static int act(Fmu *f)
+{
+    if (f->live.mode == FMU_FAILED) return FMU_ERROR;
+    f->live.known &= ~SHOWN;
+    if (f->live.set & INPUTS_SET && master_changed(&f->master, 1) == MASTER_FAILED) return failed(f);
+    f->live.set = 0;
     return FMU_OK;
 }
 
@@ -427,6 +435,7 @@ int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t c
         double *place = (v->row == FMU_ROW_INPUT ? f->input : f->settings) + v->index;
         if (*place == values[k]) continue;
         *place = values[k];
+        f->live.known &= ~SHOWN;
         f->live.set |= v->row == FMU_ROW_INPUT ? INPUTS_SET : SETTINGS_SET;
     }
     return FMU_OK;
@@ -462,14 +471,14 @@ int fmu_enter_event_mode(Fmu *f)
 int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
 {
     memset(events, 0, sizeof *events);
-    if (ready(f)) return FMU_ERROR;
+    if (act(f)) return FMU_ERROR;
     events->terminate = master_has_ended(&f->master);
     return FMU_OK;
 }
 
 int fmu_enter_continuous_mode(Fmu *f)
 {
-    if (ready(f)) return FMU_ERROR;
+    if (act(f)) return FMU_ERROR;
     f->live.mode = FMU_STEP;
     return FMU_OK;
 }
@@ -514,7 +523,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
     const double begin_t = m->t, goal = snapped(f, t + h, h);
     if (!(goal > begin_t))
         return fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "the step of %g s is too short to be seen at t = %.17g s", h, begin_t);
-    if (ready(f)) return FMU_ERROR;
+    if (act(f)) return FMU_ERROR;
     const int is_own = is_own_point(m, goal);
     m->soft = is_own ? goal : INFINITY;
     while (m->t < goal && !master_has_ended(m))

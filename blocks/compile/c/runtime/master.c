@@ -1611,8 +1611,11 @@ int master_run(Master *m, double stop)
     return MASTER_DONE;
 }
 
+static void forget_foreseen(Master *m);
+
 int master_changed(Master *m, int is_input)
 {
+    forget_foreseen(m);
     memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
     m->failure = MASTER_FINE;
     if (recorded(m, m->left_row)) return MASTER_FAILED;
@@ -1804,9 +1807,25 @@ static int exchange(Master *m)
 
 int master_foresee(Master *m)
 {
-    int wrong = exchange(m);
-    m->is_starting = 0;
+    int wrong;
+    if (m->has_started) {
+        if (!m->is_foreseen) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+        m->is_foreseen = 1;
+        m->failure = MASTER_FINE;
+        take_segment(m, m->t);
+        wrong = evaluate(m, m->t);
+    } else {
+        wrong = exchange(m);
+        m->is_starting = 0;
+    }
     return wrong ? MASTER_FAILED : MASTER_DONE;
+}
+
+/* Outputs are those from before inputs were set. */
+static void forget_foreseen(Master *m)
+{
+    if (m->is_foreseen) memcpy(m->y, m->left_y, (size_t)m->nelements * sizeof(double));
+    m->is_foreseen = 0;
 }
 
 int master_start(Master *m)
@@ -1833,6 +1852,7 @@ int master_start(Master *m)
         is_new |= m->elements[g].first_reader < m->elements[g + 1].first_reader && !m->elements[g].is_held;
     }
     m->fresh = !is_new;
+    m->has_started = 1;
     return measure(m, 1.0) || record(m, NULL) ? MASTER_FAILED : MASTER_DONE;
 }
 
@@ -1872,7 +1892,8 @@ void master_walk(BlocksWalk *w, Master *m)
     const int64_t n = m->nelements, e = m->nexchanged;
     int64_t nu = 0;
     for (int j = 0; j < m->ntracks; j++) nu += m->tracks[j].size;
-    WALK(m->is_doubled), WALK(m->first_step), WALK(m->t), WALK(m->broken), WALK(m->h), WALK(m->row), WALK(m->fresh);
+    forget_foreseen(m);
+    WALK(m->has_started), WALK(m->is_doubled), WALK(m->first_step), WALK(m->t), WALK(m->broken), WALK(m->h), WALK(m->row), WALK(m->fresh);
     WALK(m->has_inverse), WALK(m->inverse_h), WALK(m->small), WALK(m->worst), WALK(m->crowd);
     WALK(m->steps), WALK(m->rejected), WALK(m->instants), WALK(m->iterated);
     WALK_ROW(m->y, n), WALK_ROW(m->past, n), WALK_ROW(m->base, nu), WALK_ROW(m->aim, nu), WALK_ROW(m->begin, nu), WALK_ROW(m->finish, nu);

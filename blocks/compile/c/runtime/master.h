@@ -171,7 +171,8 @@ typedef struct {
     int64_t row, fresh; /* fresh: so many steps since something jumped */
     int32_t has_jumps; /* whether a jump of what is recorded stands as two rows, wherever it is */
     int32_t is_silent; /* nothing is recorded */
-    int32_t is_starting;
+    int32_t is_starting, has_started;
+    int32_t is_foreseen; /* outputs are by inputs that were set, and what these cause is yet to happen */
     int32_t has_inverse;
     double inverse_h;
     double *inverse, *z, *f, *dz, *df, *work; /* (nexchanged^2) and (nexchanged) */
@@ -197,7 +198,7 @@ typedef struct {
 BLOCKS_API int master_open(Master *m);
 BLOCKS_API void master_close(Master *m);
 void master_connect(Master *m);                                   /* once the functions of all groups are known */
-int master_foresee(Master *m);                                    /* outputs in initialization, by the inputs as they are */
+int master_foresee(Master *m);                                    /* outputs by the inputs as they are; nothing happens */
 int master_has_ended(const Master *m);
 int master_values(Master *m, const MasterLink *links, int n, double *out); /* 1: one is not finite */
 void master_walk(BlocksWalk *w, Master *m);                       /* all that changes in a run, but for the states of FMUs */
