@@ -29,7 +29,7 @@ LOG_CATEGORIES = {
     "logAll": "All messages",
 }
 """Categories of messages with what they hold, in the order of the file."""
-LOG_TRACE = {"logTrace": "Each call of the FMUs inside; not in logAll, and to be chosen before initialization"}
+LOG_TRACE = {"logTrace": "Each call of the FMUs inside, with values, status and wall time; not in logAll"}
 """The category of diagrams with FMUs."""
 
 # The values of `initial` that both versions allow for each causality and variability, the default first.

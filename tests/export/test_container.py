@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 import shutil
 import sys
 import tempfile
@@ -488,3 +489,37 @@ def test_an_error_of_the_export_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(BlocksError):
         masses(3).export(tmp_path / "x.fmu", kinds=["ME"])
     assert not (tmp_path / "x.fmu").exists()
+
+
+# --- the trace ---------------------------------------------------------------------------------------------------
+
+
+@each_fmi
+def test_calls_of_fmus_inside_are_messages_of_a_category(fmi: int, tmp_path: Path) -> None:
+    """They are those of a traced run, without the times that they took."""
+    d = masses(fmi, algorithm="iterated", order=1)
+    d.run(stop=0.04, every=0.02, engine="native", trace="*", trace_file=tmp_path / "calls.log")
+    container = Fmu(exported(d, fmi))
+    with container.instance() as one:
+        one.raw.setDebugLogging(True, ["logTrace"])
+        one.begin(stop=0.04)
+        one.step(0.0, 0.02)
+        one.raw.setDebugLogging(True, ["logStatusError"])
+        silent = len(one.messages)
+        one.raw.setDebugLogging(True, ["logTrace"])
+        one.step(0.02, 0.02)
+        assert len(one.messages) > silent
+    told = [line for _, category, text in one.messages if category == "logTrace" for line in text.splitlines()]
+    ours, theirs = (
+        [re.sub(r"^.*? ok ", "", line).strip() for line in lines if "DoStep" in line or "SetFMU" in line]
+        for lines in (told, (tmp_path / "calls.log").read_text().splitlines())
+    )
+    assert len(ours) > 10
+    assert ours == theirs[-len(ours) :]
+    assert any("F = " in line for line in told)
+
+
+@each_fmi
+def test_a_plain_fmu_has_no_such_category(fmi: int) -> None:
+    with Fmu(inner(Lag, fmi)).instance() as one, pytest.raises(Exception, match="SetDebugLogging"):
+        one.raw.setDebugLogging(True, ["logTrace"])

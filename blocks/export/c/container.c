@@ -30,6 +30,7 @@ struct Fmu {
     InnerFmu **fmus;
     Master master;
     char *resources;
+    BlocksTrace *trace; /* of all FMUs inside, from when it was first asked for */
     FmuLog log;
     void *owner;
     int categories;
@@ -64,11 +65,13 @@ static void unload_fmus(Fmu *f)
     f->has_begun = 0;
 }
 
+static BlocksTrace *tracing(const Fmu *f) { return f->categories & FMU_LOG_TRACE ? f->trace : NULL; }
+
 static int load_fmus(Fmu *f)
 {
     unload_fmus(f);
     for (int i = 0; i < container.nfmus; i++)
-        if (!(f->fmus[i] = inner_new(f, &container.fmus[i], f->resources))) return FMU_ERROR;
+        if (!(f->fmus[i] = inner_new(f, &container.fmus[i], f->resources, tracing(f)))) return FMU_ERROR;
     return FMU_OK;
 }
 
@@ -147,6 +150,7 @@ void fmu_free(Fmu *f)
     if (!f) return;
     unload_fmus(f);
     master_close(&f->master);
+    if (f->trace) blocks_trace_free(f->trace);
     for (int i = 0; f->islands && i < container.nislands; i++) {
         blocks_free(f->islands[i].sim);
         free(f->islands[i].row);
@@ -268,6 +272,46 @@ static int warned(Fmu *f)
 
 /* --- the begin ---------------------------------------------------------------------------------------------------------------- */
 
+/* The functions of the FMUs inside, for the master that is open. */
+static int connect(Fmu *f)
+{
+    Master *m = &f->master;
+    int wrong = FMU_OK;
+    for (int i = 0; i < container.nfmus && !wrong; i++) {
+        InnerFmu *in = f->fmus[i];
+        const int unit = container.fmus[i].unit;
+        MasterUnit *u = &m->units[unit];
+        wrong = inner_connect(in, u) || inner_connect_groups(in, u->sets, u->nsets, "Set")
+                || inner_connect_groups(in, u->fed, u->nfed, "Set") || inner_connect_groups(in, u->gets, u->ngets, "Get");
+        for (int k = 0; k < m->nstages && !wrong; k++)
+            if (m->stages[k].unit == unit) wrong = inner_connect_groups(in, m->stages[k].sets, m->stages[k].nsets, "Set");
+    }
+    if (!wrong) master_connect(m);
+    return wrong ? FMU_ERROR : FMU_OK;
+}
+
+/* A call, and those within it: a message for each line. */
+static void tell_calls(void *owner, const char *lines)
+{
+    Fmu *f = owner;
+    for (const char *end; (end = strchr(lines, '\n')); lines = end + 1)
+        fmu_say(f, FMU_OK, FMU_LOG_TRACE, "%.*s", (int)(end - lines), lines);
+}
+
+/* Errors are told always: who does not ask for messages needs these most. */
+void fmu_log_categories(Fmu *f, int categories)
+{
+    const int was_traced = f->categories & FMU_LOG_TRACE, is_traced = categories & FMU_LOG_TRACE;
+    f->categories = categories | FMU_LOG_ERROR;
+    if (is_traced && !f->trace) f->trace = blocks_trace_new(NULL, 0, 0, 0, tell_calls, f);
+    if (was_traced == is_traced) return;
+    for (int i = 0; i < container.nfmus; i++)
+        if (f->fmus[i]) inner_trace(f->fmus[i], tracing(f));
+    if (f->master.owned) connect(f);
+}
+
+int fmu_has_traces(void) { return 1; }
+
 /* The master by the experiment, with the instances that there are. */
 static int open_master(Fmu *f)
 {
@@ -302,11 +346,7 @@ static int open_master(Fmu *f)
         CALL_OF(reload);
         CALL_OF(next);
     }
-    for (int i = 0; i < container.nfmus && !wrong; i++) wrong = inner_connect(f->fmus[i], &units[container.fmus[i].unit]);
-    if (wrong) {
-        free(units);
-        return FMU_ERROR;
-    }
+    if (wrong) return FMU_ERROR;
     m->units = units;
     m->tracks = &f->track;
     m->ntracks = fmu_model.ninputs > 0;
@@ -325,17 +365,7 @@ static int open_master(Fmu *f)
     wrong = master_open(m);
     free(units);
     if (wrong) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for the master");
-    for (int i = 0; i < container.nfmus && !wrong; i++) {
-        InnerFmu *in = f->fmus[i];
-        const int unit = container.fmus[i].unit;
-        MasterUnit *u = &m->units[unit];
-        wrong = inner_connect_groups(in, u->sets, u->nsets, "Set") || inner_connect_groups(in, u->fed, u->nfed, "Set")
-                || inner_connect_groups(in, u->gets, u->ngets, "Get");
-        for (int k = 0; k < m->nstages && !wrong; k++)
-            if (m->stages[k].unit == unit) wrong = inner_connect_groups(in, m->stages[k].sets, m->stages[k].nsets, "Set");
-    }
-    if (!wrong) master_connect(m);
-    return wrong ? FMU_ERROR : FMU_OK;
+    return connect(f);
 }
 
 /* Up to initialization mode of all FMUs inside, with all that was set. */

@@ -23,11 +23,12 @@ typedef struct {
     const char *name, *folder, *identifier, *token;
     int32_t fmi, unit, event_mode, early_return, follows_updates, has_tolerance, serializes;
     double tolerance; /* where the importer gives none */
-    int32_t nmoving, nparameters, nheard, nnames;
+    int32_t nmoving, nparameters, nheard;
     const uint32_t *moving; /* inputs that are set within steps */
     const ContainerParameter *parameters;
     const char *const *heard;
-    const BlocksTraceName *names; /* of its variables, for traces of its calls */
+    int32_t nnames;
+    const BlocksTraceName *names; /* of its variables, for traces */
 } ContainerFmu;
 
 /* Some parameters of all blocks, from `from` on, are those of an island from `to` on. */
@@ -60,8 +61,10 @@ extern const char *const container_calls[2][CALLS_OF_FMI], *const container_type
 /* --- one FMU inside; inner_fmu.c ---- */
 typedef struct InnerFmu InnerFmu;
 
-/* Loaded and instantiated; null where that fails, and it was told why. resources: the folder of the container's. */
-InnerFmu *inner_new(Fmu *owner, const ContainerFmu *what, const char *resources);
+/* Loaded and instantiated; null where that fails, and it was told why. resources: the folder of the container's. trace: of
+   its calls; null: they are not traced. */
+InnerFmu *inner_new(Fmu *owner, const ContainerFmu *what, const char *resources, BlocksTrace *trace);
+void inner_trace(InnerFmu *in, BlocksTrace *trace); /* from now on, once it is connected again */
 /* Fill the functions of its unit, and of calls that move values. */
 int inner_connect(InnerFmu *in, MasterUnit *u);
 int inner_connect_groups(InnerFmu *in, MasterGroup *groups, int n, const char *way);

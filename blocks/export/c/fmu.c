@@ -127,6 +127,9 @@ int fmu_reset(Fmu *f)
 }
 
 void fmu_set_mode(Fmu *f, int mode) { f->live.mode = mode; }
+/* Errors are told always: who does not ask for messages needs these most. */
+void fmu_log_categories(Fmu *f, int categories) { f->categories = categories | FMU_LOG_ERROR; }
+int fmu_has_traces(void) { return 0; }
 double fmu_time(const Fmu *f) { return f->live.mode <= FMU_INITIALIZATION ? f->live.start : f->sim->t; }
 size_t fmu_number_of_states(void) { return (size_t)fmu_model.run.nstates; }
 size_t fmu_number_of_indicators(void) { return (size_t)fmu_model.run.setup->model->ns; }

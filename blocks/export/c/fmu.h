@@ -65,6 +65,7 @@ int fmu_mode(const Fmu *f);
 void fmu_set_mode(Fmu *f, int mode);            /* for those who have checked that it is allowed */
 void fmu_log_categories(Fmu *f, int categories); /* a sum of FMU_LOG_...: which are on, besides errors */
 int fmu_logs(const Fmu *f);
+int fmu_has_traces(void);                        /* whether there are messages of FMU_LOG_TRACE: calls of FMUs inside */
 /* Tells a message of a category, formatted as by printf, and gives back `status`. */
 int fmu_say(Fmu *f, int status, int category, const char *format, ...)
 #if defined(__GNUC__)

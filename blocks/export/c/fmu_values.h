@@ -18,8 +18,6 @@ int fmu_say(Fmu *f, int status, int category, const char *format, ...)
 void *fmu_owner(const Fmu *f) { return f->owner; }
 int fmu_kind(const Fmu *f) { return f->live.kind; }
 int fmu_mode(const Fmu *f) { return f->live.mode; }
-/* Errors are told always: who does not ask for messages needs these most. */
-void fmu_log_categories(Fmu *f, int categories) { f->categories = categories | FMU_LOG_ERROR; }
 int fmu_logs(const Fmu *f) { return f->categories; }
 size_t fmu_references(void) { return (size_t)fmu_model.nvariables; }
 

@@ -78,10 +78,9 @@ struct InnerFmu {
     const ContainerFmu *what;
     void *library, *component;
     char *resources;
-    int is_lost, must_terminate, is_silent;
+    int is_lost, must_terminate, is_silent, is_traced;
+    BlocksTraced *traced; /* made with its first trace, and kept */
     Callbacks2 callbacks;
-    BlocksTrace *trace; /* null: its calls are not traced; else `component` is `traced` */
-    BlocksTraced *traced;
 };
 
 static char *text_of(const char *format, ...)
@@ -109,6 +108,7 @@ static void hear(InnerFmu *in, int status, const char *category, const char *tex
     int of = status >= ERROR_ && status <= FATAL ? FMU_LOG_ERROR : status == OK ? FMU_LOG_EVENTS : FMU_LOG_WARNING;
     int own = status == OK ? FMU_OK : status == WARNING ? FMU_WARNING : status == DISCARD ? FMU_DISCARD : FMU_ERROR;
     if (in->is_silent) return;
+    if (in->is_traced) blocks_trace_message(in->traced, status, category ? category : "", text ? text : "");
     fmu_say(in->owner, own, of, "%s: %s%s%s%s", in->what->name, category && category[0] ? "[" : "", category ? category : "",
             category && category[0] ? "] " : "", text ? text : "");
 }
@@ -233,38 +233,21 @@ static char *path_of(const char *given)
     return made;
 }
 
-/* The function of this full name; null where the library has none. */
-static void *bound(const InnerFmu *in, const char *name)
+/* A function of the library by its full name, or the shim before it; null where there is none. */
+static void *function(const InnerFmu *in, const char *full)
 {
-    void *function = symbol(in->library, name);
-    return function && in->traced ? blocks_trace_shim(in->traced, name, function) : function;
+    void *own = symbol(in->library, full), *shim = own && in->is_traced ? blocks_trace_shim(in->traced, full, own) : NULL;
+    return shim ? shim : own;
 }
 
-/* The same of a name without "fmi3". */
+/* What functions take as the instance. */
+static void *caller(const InnerFmu *in) { return in->is_traced ? (void *)in->traced : in->component; }
+
 static void *found(const InnerFmu *in, const char *name)
 {
     char full[100];
     snprintf(full, sizeof full, "fmi%d%s", in->what->fmi, name);
-    return bound(in, full);
-}
-
-/* A call, and those within it: a message for each line. */
-static void say_calls(void *inner, const char *lines)
-{
-    InnerFmu *in = inner;
-    for (const char *end; !in->is_silent && (end = strchr(lines, '\n')); lines = end + 1)
-        fmu_say(in->owner, FMU_OK, FMU_LOG_TRACE, "%.*s", (int)(end - lines), lines);
-}
-
-/* From now on the calls of the FMU are messages of the container. */
-static void trace_calls(InnerFmu *in)
-{
-    if (in->traced || !(fmu_logs(in->owner) & FMU_LOG_TRACE)) return;
-    in->trace = blocks_trace_new(NULL, 0, 0, 0, say_calls, in);
-    if (in->trace) in->traced = blocks_trace_instance(in->trace, in->what->name, in->what->names, in->what->nnames, NULL, 0);
-    if (!in->traced) return;
-    in->traced->component = in->component;
-    in->component = in->traced;
+    return function(in, full);
 }
 
 #define FOUND(type, name) (*(type *)&(void *){found(in, name)})
@@ -288,7 +271,7 @@ static int judged(InnerFmu *in, const char *name, int status)
 static int called(InnerFmu *in, const char *name)
 {
     if (!found(in, name)) return lacks(in, name);
-    return judged(in, name, FOUND(Plain, name)(in->component));
+    return judged(in, name, FOUND(Plain, name)(caller(in)));
 }
 
 /* --- life --------------------------------------------------------------------------------------------------------------- */
@@ -316,14 +299,17 @@ static int instantiate(InnerFmu *in)
     const ContainerFmu *what = in->what;
     char *folder = text_of("%s/resources", in->resources), *place = NULL;
     const char *name = what->fmi == 2 ? "Instantiate" : "InstantiateCoSimulation";
+    const char *const given[] = {"instanceName", what->name, what->fmi == 2 ? "fmuGUID" : "instantiationToken", what->token};
     int there = folder && exists(folder);
     if (folder) place = what->fmi == 2 ? uri_of(folder) : text_of("%s/", folder);
     if (!found(in, name)) {
         lacks(in, name);
     } else if (what->fmi == 2) {
         in->callbacks = (Callbacks2){hear_2, calloc, free, NULL, in};
+        if (in->is_traced) blocks_trace_making(in->traced, "fmi2Instantiate", given, 2);
         in->component = FOUND(Instantiate2, name)(what->name, 1, what->token, place, &in->callbacks, 0, 1);
     } else {
+        if (in->is_traced) blocks_trace_making(in->traced, "fmi3InstantiateCoSimulation", given, 2);
         void (*update)(void *, double, int, int, int, int, void *, double *) = what->follows_updates ? master_intermediate : NULL;
         in->component = FOUND(Instantiate3, name)(what->name, what->token, there ? place : NULL, false, true, what->event_mode,
                                                   what->early_return, what->moving, (size_t)what->nmoving, in, hear_3,
@@ -331,16 +317,26 @@ static int instantiate(InnerFmu *in)
     }
     free(folder);
     free(place);
+    if (in->is_traced) blocks_trace_made(in->traced, in->component);
     if (!in->component) return complain(in, "it gives no instance");
     if (what->nheard && found(in, "SetDebugLogging")) { /* messages about failures only: all others take time */
-        int status = what->fmi == 2 ? FOUND(Logging2, "SetDebugLogging")(in->component, 1, (size_t)what->nheard, what->heard)
-                                    : FOUND(Logging3, "SetDebugLogging")(in->component, true, (size_t)what->nheard, what->heard);
+        int status = what->fmi == 2 ? FOUND(Logging2, "SetDebugLogging")(caller(in), 1, (size_t)what->nheard, what->heard)
+                                    : FOUND(Logging3, "SetDebugLogging")(caller(in), true, (size_t)what->nheard, what->heard);
         if (status == FATAL) return judged(in, "SetDebugLogging", status);
     }
     return FMU_OK;
 }
 
-InnerFmu *inner_new(Fmu *owner, const ContainerFmu *what, const char *resources)
+void inner_trace(InnerFmu *in, BlocksTrace *trace)
+{
+    if (trace && !in->traced) {
+        in->traced = blocks_trace_instance(trace, in->what->name, in->what->names, in->what->nnames, NULL, 0);
+        if (in->traced) in->traced->component = in->component;
+    }
+    in->is_traced = trace && in->traced;
+}
+
+InnerFmu *inner_new(Fmu *owner, const ContainerFmu *what, const char *resources, BlocksTrace *trace)
 {
     InnerFmu *in = calloc(1, sizeof *in);
     char *folder = in && resources ? path_of(resources) : NULL;
@@ -349,6 +345,7 @@ InnerFmu *inner_new(Fmu *owner, const ContainerFmu *what, const char *resources)
     in->what = what;
     in->resources = folder ? text_of("%s/%s", folder, what->folder) : NULL;
     free(folder);
+    if (trace) inner_trace(in, trace);
     if (!in->resources) complain(in, "the importer names no folder of resources, where it is");
     if (!in->resources || load_library(in) || instantiate(in)) {
         inner_free(in);
@@ -364,7 +361,7 @@ void inner_terminate(InnerFmu *in, int is_running)
     int must = in->must_terminate;
     in->must_terminate = 0;
     if (must && is_running && !in->is_lost && in->component && found(in, "Terminate") &&
-        FOUND(Plain, "Terminate")(in->component) == FATAL)
+        FOUND(Plain, "Terminate")(caller(in)) == FATAL)
         inner_lose(in);
 }
 
@@ -372,9 +369,8 @@ void inner_free(InnerFmu *in)
 {
     if (!in) return;
     in->is_silent = 1; /* nobody may listen any more */
-    if (in->component && !in->is_lost && found(in, "FreeInstance")) FOUND(Free, "FreeInstance")(in->component);
+    if (in->component && !in->is_lost && found(in, "FreeInstance")) FOUND(Free, "FreeInstance")(caller(in));
     if (in->library && !in->is_lost) unload(in->library);
-    if (in->trace) blocks_trace_free(in->trace);
     free(in->resources);
     free(in);
 }
@@ -383,9 +379,8 @@ void inner_free(InnerFmu *in)
 
 int inner_connect(InnerFmu *in, MasterUnit *u)
 {
-    trace_calls(in);
-    u->component = in->component;
-    for (int k = 0; k < CALLS_OF_FMI; k++) u->calls[k] = bound(in, container_calls[in->what->fmi - 2][k]);
+    u->component = caller(in);
+    for (int k = 0; k < CALLS_OF_FMI; k++) u->calls[k] = function(in, container_calls[in->what->fmi - 2][k]);
     const int needed[] = {CALL_DoStep, CALL_ExitInitializationMode, CALL_GetFMUState, CALL_SetFMUState, CALL_EnterEventMode,
                           CALL_UpdateDiscreteStates, CALL_EnterStepMode};
     for (int i = 0; i < (u->has_instants ? 7 : u->can_save ? 4 : 2); i++) {
@@ -459,8 +454,8 @@ static int set_type(InnerFmu *in, int type, int is_size, const double *settings,
     }
     if (!refs || !row) complain(in, "there is no memory");
     else if (!found(in, name)) lacks(in, name);
-    else if (what->fmi == 2) status = judged(in, name, FOUND(Set2, name)(in->component, refs, references, row));
-    else status = judged(in, name, FOUND(Set3, name)(in->component, refs, references, row, n));
+    else if (what->fmi == 2) status = judged(in, name, FOUND(Set2, name)(caller(in), refs, references, row));
+    else status = judged(in, name, FOUND(Set3, name)(caller(in), refs, references, row, n));
     free(refs);
     free(row);
     return status == FMU_OK ? FMU_OK : FMU_ERROR;
@@ -503,13 +498,13 @@ int inner_begin(InnerFmu *in, const double *settings, int has_tolerance, double 
     if (!has_stop) stop = 0.0;
     if (what->fmi == 2) {
         if (!found(in, "SetupExperiment")) return lacks(in, "SetupExperiment");
-        int status = FOUND(Setup2, "SetupExperiment")(in->component, has_tolerance, tolerance, start, has_stop, stop);
+        int status = FOUND(Setup2, "SetupExperiment")(caller(in), has_tolerance, tolerance, start, has_stop, stop);
         if (judged(in, "SetupExperiment", status) || set_parameters(in, settings)) return FMU_ERROR;
         if (called(in, "EnterInitializationMode")) return FMU_ERROR;
     } else {
         if (set_parameters(in, settings)) return FMU_ERROR;
         if (!found(in, "EnterInitializationMode")) return lacks(in, "EnterInitializationMode");
-        int status = FOUND(Enter3, "EnterInitializationMode")(in->component, has_tolerance, tolerance, start, has_stop, stop);
+        int status = FOUND(Enter3, "EnterInitializationMode")(caller(in), has_tolerance, tolerance, start, has_stop, stop);
         if (judged(in, "EnterInitializationMode", status)) return FMU_ERROR;
     }
     in->must_terminate = 1;
@@ -525,7 +520,7 @@ int inner_get_state(InnerFmu *in, void **state)
 {
     const char *name = OF_STATE("Get", "");
     if (!found(in, name)) return lacks(in, name);
-    return judged(in, name, FOUND(State, name)(in->component, state));
+    return judged(in, name, FOUND(State, name)(caller(in), state));
 }
 
 int inner_set_state(InnerFmu *in, void *state)
@@ -533,13 +528,13 @@ int inner_set_state(InnerFmu *in, void *state)
     const char *name = OF_STATE("Set", "");
     if (!found(in, name)) return lacks(in, name);
     in->must_terminate = 1;
-    return judged(in, name, FOUND(Restore, name)(in->component, state));
+    return judged(in, name, FOUND(Restore, name)(caller(in), state));
 }
 
 void inner_free_state(InnerFmu *in, void **state)
 {
     const char *name = OF_STATE("Free", "");
-    if (*state && !in->is_lost && found(in, name)) FOUND(State, name)(in->component, state);
+    if (*state && !in->is_lost && found(in, name)) FOUND(State, name)(caller(in), state);
     *state = NULL;
 }
 
@@ -550,9 +545,9 @@ unsigned char *inner_serialize(InnerFmu *in, void *state, size_t *size)
         lacks(in, name);
         return NULL;
     }
-    if (judged(in, sizes, FOUND(Size, sizes)(in->component, state, size))) return NULL;
+    if (judged(in, sizes, FOUND(Size, sizes)(caller(in), state, size))) return NULL;
     unsigned char *bytes = malloc(*size + 1);
-    if (bytes && !judged(in, name, FOUND(Serialize, name)(in->component, state, bytes, *size))) return bytes;
+    if (bytes && !judged(in, name, FOUND(Serialize, name)(caller(in), state, bytes, *size))) return bytes;
     free(bytes);
     return NULL;
 }
@@ -561,5 +556,5 @@ int inner_deserialize(InnerFmu *in, const unsigned char *bytes, size_t size, voi
 {
     const char *name = in->what->fmi == 2 ? "DeSerializeFMUstate" : "DeserializeFMUState";
     if (!found(in, name)) return lacks(in, name);
-    return judged(in, name, FOUND(Deserialize, name)(in->component, bytes, size, state));
+    return judged(in, name, FOUND(Deserialize, name)(caller(in), bytes, size, state));
 }

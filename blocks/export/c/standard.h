@@ -62,7 +62,7 @@ static const struct {
     {"logStatusWarning", FMU_LOG_WARNING},
     {"logStatusError", FMU_LOG_ERROR},
     {"logNonlinearSystems", FMU_LOG_NONLINEAR},
-    {"logTrace", FMU_LOG_TRACE}, /* not in logAll: there are several in each step */
+    {"logTrace", FMU_LOG_TRACE}, /* so many that they must be asked for by this name */
     {"logAll", FMU_LOG_EVENTS | FMU_LOG_WARNING | FMU_LOG_ERROR | FMU_LOG_NONLINEAR}
 };
 enum { NCATEGORIES = sizeof CATEGORIES / sizeof CATEGORIES[0], ALL_CATEGORIES = NCATEGORIES - 1 };
@@ -284,7 +284,7 @@ Status FMI(SetDebugLogging)(void *instance, Boolean loggingOn, size_t nCategorie
             return FMI(Error);
         while (k < NCATEGORIES && strcmp(categories[i], CATEGORIES[k].name) != 0)
             k++;
-        if (k == NCATEGORIES)
+        if (k == NCATEGORIES || (CATEGORIES[k].categories == FMU_LOG_TRACE && !fmu_has_traces()))
             return refuse(in, "there is no category '%.100s'.", categories[i]);
         on |= CATEGORIES[k].categories;
     }
