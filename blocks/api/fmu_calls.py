@@ -22,22 +22,28 @@ _SHOWN = 30  # names
 _CURE = "Choose FMUs by trace; * means all."
 
 
-def names_of(given: str | Sequence[str] | None) -> list[str]:
-    """One name, or several, as a list."""
-    return [given] if isinstance(given, str) else list(given or ())
+def names_of(word: str, given: str | Sequence[str] | None) -> list[str]:
+    """Return one name, or several, as a list. Raises UsageError (E501)."""
+    names = [given] if isinstance(given, str) else given
+    if names is None:
+        return []
+    if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) and name for name in names):
+        message = f"must be a name, or a list of names, not {legible(repr(given)[:80])}."
+        raise UsageError(Fault("E501", word, message, f'Example: {word}="motor".'))
+    return list(names)
 
 
 def tracer_of(
     plan: Plan | Coupling,
     trace: str | Sequence[str] | None,
     file: str | Path | None,
-    categories: Sequence[str],
+    categories: str | Sequence[str],
     *,
     profile: bool,
 ) -> Tracer | None:
     """Return what traces the FMUs of a run, whose file is open; None: nothing is asked for. Raises UsageError (E501)
     and CompilerError (E60x)."""
-    names = names_of(trace)
+    names, categories = names_of("trace", trace), names_of("log_categories", categories)
     if not names and categories:
         raise UsageError(Fault("E501", "log_categories", "are of FMUs that are traced, and none is.", _CURE))
     if not names and file is not None:

@@ -232,10 +232,11 @@ class Run:
         self.settings: RunSettings = plan.settings
         self._tracer: Tracer | None = None
         if options.trace or options.trace_file or options.log_categories or options.profile:
-            from .fmu_calls import names_of, tracer_of
+            from .fmu_calls import tracer_of
 
-            categories = names_of(options.log_categories)
-            self._tracer = tracer_of(plan, options.trace, options.trace_file, categories, profile=options.profile)
+            self._tracer = tracer_of(
+                plan, options.trace, options.trace_file, options.log_categories, profile=options.profile
+            )
         if options.loading is not None:
             options.loading(prepared.value)
         self._simulation: Simulation = simulation(

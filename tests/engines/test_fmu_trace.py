@@ -325,6 +325,8 @@ def test_what_cannot_be_traced_is_refused(tmp_path: Path) -> None:
     plain.add("wave", Sine())
     with pytest.raises(UsageError, match=r'E501 trace: "motr" matches no FMU of the diagram\. Did you mean .motor.\?'):
         made.run(stop=1, trace="motr")
+    with pytest.raises(UsageError, match="E501 trace: must be a name, or a list of names, not 5"):
+        made.run(stop=1, trace=5)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="E501 trace: the diagram has no FMU"):
         plain.run(stop=1, trace="*")
     with pytest.raises(UsageError, match="E501 profile: the diagram has no FMU"):

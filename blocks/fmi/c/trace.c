@@ -112,7 +112,8 @@ static void put_number(Text *to, double v, int is_json)
 {
     char digits[40];
     if (!isfinite(v)) {
-        put(to, isnan(v) ? is_json ? "\"NaN\"" : "nan" : v > 0 ? is_json ? "\"Infinity\"" : "inf" : is_json ? "\"-Infinity\"" : "-inf");
+        static const char *const named[2][3] = {{"nan", "inf", "-inf"}, {"\"NaN\"", "\"Infinity\"", "\"-Infinity\""}};
+        put(to, named[is_json][isnan(v) ? 0 : v > 0 ? 1 : 2]);
         return;
     }
     for (int n = 15; n <= 17; n++) {
@@ -149,8 +150,8 @@ static void put_text(Text *to, const char *text)
             return;
         }
         if (c == '"' || c == '\\') put_form(to, "\\%c", (int)c);
-        else if (c < 0x20 || (c >= 0x7F && c < 0xA0) || c == 0xFFFD || c == 0xFEFF || c == 0x61C || (c >= 0x200B && c <= 0x200F) ||
-                 (c >= 0x2028 && c <= 0x202E) || (c >= 0x2066 && c <= 0x2069))
+        else if (c < 0x20 || (c >= 0x7F && c < 0xA0) || c == 0xFFFD || c == 0xFEFF || c == 0x61C ||
+                 (c >= 0x200B && c <= 0x200F) || (c >= 0x2028 && c <= 0x202E) || (c >= 0x2066 && c <= 0x2069))
             put_form(to, "\\u%04lx", c);
         else put_bytes(to, (const char *)s, (size_t)length);
     }
@@ -340,7 +341,8 @@ static void put_variables(BlocksTraceCall *call, int kind, const void *values, s
             if (first + size > n) size = n - first;
         }
         put_label(call, name_of(call, call->references[i], room, sizeof room));
-        if (n == call->nreferences || (size == 1 && call->nreferences > 1)) put_element(text_of(call), kind, values, first, call->is_json);
+        if (n == call->nreferences || (size == 1 && call->nreferences > 1))
+            put_element(text_of(call), kind, values, first, call->is_json);
         else put_array(text_of(call), kind, values, first, size, call->is_json);
         first += size, shown += size;
     }
@@ -401,10 +403,12 @@ static void put_value(BlocksTraceCall *call, const char *name, int kind, const v
     if (!call->is_json && is_one_of(name, " lastSuccessfulTime ") && call->last == call->x[0] + call->x[1]) return;
     int is_flag = kind == KIND_fmi3Boolean || kind == KIND_fmi2Boolean;
     if (kind == KIND_size_t && !call->is_out) return; /* counts: the arrays show them */
-    if (is_flag && n == 1 && !call->is_json && !(kind == KIND_fmi3Boolean ? *(const uint8_t *)values != 0 : *(const int *)values != 0)) return;
+    int is_set = is_flag && (kind == KIND_fmi3Boolean ? *(const uint8_t *)values != 0 : *(const int *)values != 0);
+    if (is_flag && n == 1 && !is_set && !call->is_json) return;
     int is_vector = is_one_of(name, " x ") || (is_one_of(name, " values ") && kind == KIND_fmi2Real);
     const char *function = one->functions[call->function];
-    if (is_vector && (strstr(function, "State") || strstr(function, "GetDerivatives")) && !strstr(function, "Nominals") && (int64_t)n == one->nstates && n <= MOST_VALUES) {
+    int of_states = (strstr(function, "State") || strstr(function, "GetDerivatives")) && !strstr(function, "Nominals");
+    if (is_vector && of_states && (int64_t)n == one->nstates && n <= MOST_VALUES) {
         char own[256];
         for (size_t i = 0; i < n && to->used < CROWDED; i++) {
             snprintf(own, sizeof own, strstr(function, "Derivatives") ? "der(%s)" : "%s", one->states[i]);
@@ -448,7 +452,8 @@ static void show(BlocksTrace *t, int64_t calls, int is_last)
     put(&lines, t->is_json ? is_last ? "}\n" : "}}\n" : "\n");
     if (t->after.used) put_bytes(&lines, t->after.data, t->after.used);
     if (is_last && t->hidden)
-        put_form(&lines, t->is_json ? "{\"lines_left_out\": %lld}\n" : "          ... %lld lines are left out here\n", (long long)t->hidden);
+        put_form(&lines, t->is_json ? "{\"lines_left_out\": %lld}\n" : "          ... %lld lines are left out here\n",
+                 (long long)t->hidden);
     if (t->sink && is_last && lines.data) t->sink(t->where, lines.data);
     emit(t, &lines, calls, is_last);
     free(lines.data);
@@ -511,7 +516,8 @@ void blocks_trace_end(BlocksTraceCall *call, int status)
             for (char *c = to->data + to->used; *--c != ' ';) /* a point, whatever the language is */
                 if (*c == ',') *c = '.';
         } else {
-            snprintf(outcome, sizeof outcome, us < 1e6 ? "%8.1f us  %-8.8s" : "%8.3f s   %-8.8s", us < 1e6 ? us : us / 1e6, word);
+            int is_short = us < 1e6;
+            snprintf(outcome, sizeof outcome, is_short ? "%8.1f us  %-8.8s" : "%8.3f s   %-8.8s", is_short ? us : us / 1e6, word);
             for (char *c = outcome; *c; c++)
                 if (*c == ',') *c = '.';
             char *place = to->data ? strstr(to->data, "...") : NULL; /* before any text of the FMU */
@@ -563,7 +569,8 @@ void blocks_trace_message(BlocksTraced *one, int status, const char *category, c
 
 /* --- what there is ---- */
 
-BlocksTrace *blocks_trace_new(const char *path, int is_json, int64_t head, int64_t tail, void (*sink)(void *, const char *), void *where)
+BlocksTrace *blocks_trace_new(const char *path, int is_json, int64_t head, int64_t tail,
+                              void (*sink)(void *, const char *), void *where)
 {
     BlocksTrace *t = calloc(1, sizeof *t);
     if (!t) return NULL;
@@ -574,7 +581,8 @@ BlocksTrace *blocks_trace_new(const char *path, int is_json, int64_t head, int64
     }
     if (path && !is_json) {
         Text line = {0};
-        put_form(&line, "%8s  %-12s  %*s  %s\n", "call", "t [s]", -OUTCOME, "   wall time, status", "FMU  function  arguments  ->  results");
+        put_form(&line, "%8s  %-12s  %*s  FMU  function  arguments  ->  results\n", "call", "t [s]", -OUTCOME,
+                 "   wall time, status");
         emit(t, &line, 0, 1);
         free(line.data);
     }
