@@ -11,6 +11,7 @@ from blocks.text.errors import BlocksError
 
 from . import (
     building,
+    container,
     drawing,
     editing,
     fleet,
@@ -56,6 +57,7 @@ BENCHMARKS = {
     "live": live.main,
     "editing": editing.main,
     "master": master.main,
+    "container": container.main,
     "streamed": streamed.main,
     "drawing": drawing.main,
     "sparse": sparse.main,

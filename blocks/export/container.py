@@ -9,17 +9,18 @@ for the platforms that all FMUs inside have binaries for.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..compile.bindings import bindings, sizes_of
 from ..compile.c.c_text import ints, reals, table, texts
+from ..compile.c.foreign_tables import FOREIGN_CALLS, ForeignTables, columns
 from ..compile.c.function_code import number
 from ..compile.c.master_tables import CALLS_OF_FMI, Fields, MasterTables
 from ..compile.c.model_code import emit
@@ -27,15 +28,18 @@ from ..compile.c.runtime_grid import why_not
 from ..compile.c.runtime_layout import BlocksGrid
 from ..compile.c.runtime_tables import RuntimeTables
 from ..compile.coupling import CoupledUnit, Coupling, Link
-from ..compile.plan import Plan
+from ..compile.plan import ForeignPart, Plan
 from ..compile.setting_programs import Setting
 from ..compile.toolchain.platforms import folder_of, suffix_of
 from ..fmi.archive import Archive
 from ..fmi.calls import FAILURES
+from ..fmi.model_description import Interface, ModelVariable
 from ..fmi.trace import trace_names
 from ..fmi.types import NUMBERS, call_of, call_of_code, code_of, full_name
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
+from ..model.fmu_block import Foreign
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError
 from .fmu_model import Dependencies, ExportedVariable
 from .fmu_variables import Variables
@@ -60,14 +64,12 @@ def check_coupling(coupling: Coupling, kinds: Sequence[str] | None) -> None:
         for stepper in unit.plan.steppers if unit.plan is not None else ():
             cure = "Replace it by a block with equations, or export the diagram without it."
             faults.append(Fault("E606", stepper.path, "is a program in Python, which an FMU cannot contain.", cure))
-        for part in unit.plan.foreign if unit.plan is not None else ():
-            message = "is an FMU for Model Exchange, which the FMU of a diagram cannot contain."
-            faults.append(Fault("E606", part.path, message, 'Use it as "kind": "CS" if it has that, or leave it out.'))
-        if unit.foreign is not None and unit.foreign.interface.once_per_process:
-            if unit.foreign.path in claimed:
-                message = f"can be instantiated only once in a process, and {claimed[unit.foreign.path]} is it already."
-                faults.append(Fault("E606", unit.path, message, "Use it once, or another export of the model."))
-            claimed[unit.foreign.path] = unit.path
+    for one in inner_fmus(coupling):
+        if one.interface.once_per_process:
+            if one.foreign.path in claimed:
+                message = f"can be instantiated only once in a process, and {claimed[one.foreign.path]} is it already."
+                faults.append(Fault("E606", one.path, message, "Use it once, or another export of the model."))
+            claimed[one.foreign.path] = one.path
     if why := why_not(coupling):
         cure = "Use rounder periods and steps, such as multiples of 1 us."
         faults.append(Fault("E606", coupling.name, f"cannot be exported: {why}.", cure))
@@ -78,19 +80,40 @@ def check_coupling(coupling: Coupling, kinds: Sequence[str] | None) -> None:
 # --- the FMUs inside -------------------------------------------------------------------------------------------------
 
 
+class Inner(NamedTuple):
+    """An FMU inside, by its path in the diagram."""
+
+    path: str
+    foreign: Foreign
+
+    @property
+    def interface(self) -> Interface:
+        return self.foreign.interface
+
+
+def inner_fmus(coupling: Coupling) -> list[Inner]:
+    """Return all FMUs of a Coupling: those for Co-Simulation, and those for Model Exchange among blocks."""
+    found = []
+    for unit in coupling.units:
+        if unit.foreign is not None:
+            found.append(Inner(unit.path, unit.foreign))
+        elif unit.plan is not None:
+            found += [Inner(part.path, part.foreign) for part in unit.plan.foreign]
+    return found
+
+
 class InnerFmus:
     """The files of the FMUs of a Coupling, in a folder for each of them."""
 
     def __init__(self, coupling: Coupling) -> None:
-        self.units = [(k, unit) for k, unit in enumerate(coupling.units) if unit.foreign is not None]
+        self.all = inner_fmus(coupling)
         self.folders: dict[Path, str] = {}
-        for _, unit in self.units:
-            assert unit.foreign is not None
-            path = unit.foreign.path
+        for one in self.all:
+            path = one.foreign.path
             if path in self.folders:
                 continue
             plain = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem) or "fmu"
-            names = [plain, *(f"{plain}_{n}" for n in range(2, len(self.units) + 2))]
+            names = [plain, *(f"{plain}_{n}" for n in range(2, len(self.all) + 2))]
             taken = {name.lower() for name in self.folders.values()}
             self.folders[path] = next(name for name in names if name.lower() not in taken)
 
@@ -105,27 +128,24 @@ class InnerFmus:
     def check_platforms(self, platforms: Sequence[str]) -> None:
         """Raise ModelError (E606) where an FMU inside has no binary for one of the platforms."""
         faults = []
-        for _, unit in self.units:
-            assert unit.foreign is not None
-            fmi, name = unit.foreign.description.fmi, unit.foreign.interface.identifier
-            with Archive(unit.foreign.path) as archive:
+        for one in self.all:
+            fmi, name = one.foreign.description.fmi, one.interface.identifier
+            with Archive(one.foreign.path) as archive:
                 for platform in platforms:
                     places = {folder_of(platform, version) for version in (fmi, 2, 3)}
                     if not any(f"binaries/{place}/{name}{suffix_of(platform)}" in archive.files for place in places):
-                        message = f"{unit.foreign.path.name} has no binary for {platform}."
+                        message = f"{one.foreign.path.name} has no binary for {platform}."
                         cure = "Leave this platform out, or compile its sources first: blocks fmu compile."
-                        faults.append(Fault("E606", unit.path, message, cure))
+                        faults.append(Fault("E606", one.path, message, cure))
         if faults:
             raise ModelError(*faults)
 
     def told(self) -> Iterator[tuple[str, str, str]]:
-        """Of each file: its folder, what it says of itself, and its license."""
-        for _, unit in self.units:
-            assert unit.foreign is not None
-            d = unit.foreign.described
-            folder = self.folders[unit.foreign.path]
+        """Of each FMU: its path, its folder with what it says of itself, and its license."""
+        for one in self.all:
+            d = one.foreign.described
             told = [f"{d.name}, FMI {d.version}", *(text for text in (d.tool, d.author, d.copyright) if text)]
-            yield unit.path, f"resources/{folder}: {', '.join(told)}", d.license or "not given"
+            yield one.path, f"resources/{self.folders[one.foreign.path]}: {', '.join(told)}", d.license or "not given"
 
 
 # --- variables ---------------------------------------------------------------------------------------------------
@@ -277,8 +297,8 @@ class ContainerCode:
 
     @property
     def saves(self) -> bool:
-        """Whether its state can be saved: whether all FMUs inside say that theirs can."""
-        return all(unit.foreign is None or unit.foreign.interface.saves for unit in self.coupling.units)
+        """Whether its state can be saved: as that of blocks beside FMUs for Model Exchange cannot."""
+        return all(unit.can_go_back for unit in self.coupling.units)
 
     @property
     def serializes(self) -> bool:
@@ -291,7 +311,7 @@ class ContainerCode:
         tables = MasterTables(coupling, place)
         master = tables.master()
         outputs, local = tables.links(self.variables.outputs), tables.links(self.variables.locals)
-        fmus = [self._fmu(k, unit) for k, unit in self.inner.units]
+        fmus = [self._fmu(k, unit) for k, unit in enumerate(self.coupling.units) if unit.foreign is not None]
         moved = [", ".join(slot.variable.name for slot in group) for _, group in tables.moves]
         settings = coupling.settings
         length = float(settings.stop - settings.start) if settings.stop is not None else float("inf")
@@ -316,6 +336,8 @@ class ContainerCode:
             f"const Container container = {initializer(fields)};\n",
             "const char *const container_calls[2][CALLS_OF_FMI] = {\n", *_rows(_call_names()), "};\n",
             "const char *const container_types[2][BLOCKS_TYPES] = {\n", *_rows(_type_names()), "};\n",
+            "const char *const container_foreign_calls[2][BLOCKS_CALLS] = {\n",
+            *_rows([[full_name(name, fmi) for name in FOREIGN_CALLS] for fmi in (2, 3)]), "};\n",
             model_text(
                 self.variables, kinds=2, token=token, dependencies=dependencies, more={"run": initializer(run)}
             ),
@@ -355,41 +377,95 @@ class ContainerCode:
             if count:
                 pieces.append({"from": self.sizes[block], "to": at, "count": count})
             at += count
-        row: Fields = {"run": run, "unit": k, "npieces": len(pieces)}
-        return {**row, "pieces": self.place.structures("ContainerPiece", pieces)}
+        foreigns = [self._foreign(plan, part, made.place) for part in plan.foreign]
+        row: Fields = {
+            "run": run, "unit": k, "npieces": len(pieces), "nforeigns": len(foreigns),
+            "ntaken": sum(len(part.inputs) for part in plan.foreign),
+        }  # fmt: skip
+        row["pieces"] = self.place.structures("ContainerPiece", pieces)
+        return {**row, "foreigns": self.place.structures("ContainerForeign", foreigns)}
+
+    def _foreign(self, plan: Plan, part: ForeignPart, place: Array) -> Fields:
+        """An FMU for Model Exchange."""
+        tables, put = ForeignTables(plan, part, place), self.place
+        fmu = {
+            **self._described(part.path, part.foreign), "unit": -1, "has_tolerance": 1, "tolerance": plan.settings.rtol,
+            **self._rows(list(self._parameters_of_part(part))),
+            **self._names(part.foreign, tables.used, [name for name, *_ in part.parameters]),
+        }  # fmt: skip
+        table: Fields = {
+            **tables.sizes,
+            **{
+                name: put.array(getattr(tables, name), "float64")
+                for name in ("factors", "origins", "scales", "offsets")
+            },
+            **{name: put.array(getattr(tables, name), "int32") for name in ("tunables", "crossings", "states")},
+            "variables": put.structures("BlocksVariable", columns(tables.variables)),
+            "watched": put.structures("BlocksVariable", columns(tables.watched)),
+        }
+        return {"fmu": initializer(fmu), "table": initializer(table), "room": tables.room}
+
+    def _parameters_of_part(self, part: ForeignPart) -> Iterator[Fields]:
+        """The parameters and start values of an FMU for Model Exchange, as a run sets them."""
+        foreign, put = part.foreign, self.place
+        given = [(name, first, size, ()) for name, first, size in part.parameters]
+        for name, first, size, row in [*given, *((name, 0, len(row), row) for name, row in part.optional)]:
+            variable, (scale, offset) = foreign.variables[name], foreign.affine(name)
+            start = [float(value) for value in variable.start] or [0.0]
+            fields: Fields = {
+                "reference": variable.reference, "type": code_of(variable.type, foreign.description.fmi),
+                "is_size": variable.causality == "structuralParameter", "first": first, "count": size, "scale": scale,
+                "offset": offset,
+            }  # fmt: skip
+            if row:
+                fields["given"] = put.array([foreign.own(name, value) for value in row], "float64")
+            elif variable.name not in foreign.changed:
+                fields["told"] = put.array(start * size if len(start) == 1 else start, "float64")
+            yield fields
+        for name, text in part.texts:
+            variable = foreign.variables[name]
+            if not variable.start or variable.start[0] != text:
+                yield {"reference": variable.reference, "type": -1, "count": 1, "scale": 1.0, "text": _text(text)}
 
     # --- FMUs ---
 
     def _fmu(self, k: int, unit: CoupledUnit) -> Fields:
         foreign = unit.foreign
         assert foreign is not None
-        interface, description = foreign.interface, foreign.description
+        interface = foreign.interface
         is_asked = unit.way == "intermediate" and self.coupling.settings.master.order > 0
         moving = [slot.variable.reference for slot in unit.moving]
-        names = [category.name for category in description.categories]
-        heard = [name for name in names if name in FAILURES]
-        heard = heard if len(heard) < len(names) else []
         tolerance = self.coupling.tolerance_of(unit)
-        parameters = list(self._parameters(unit))
+        slots = [slot.variable for slot in (*unit.slots_in, *unit.slots_out)]
         return {
-            "name": _text(unit.path), "folder": _text(self.inner.folders[foreign.path]),
-            "identifier": _text(interface.identifier), "token": _text(description.token), "fmi": description.fmi,
-            "unit": k, "event_mode": interface.event_mode,
+            **self._described(unit.path, foreign), "unit": k, "event_mode": interface.event_mode,
             "early_return": interface.event_mode and interface.any_step, "follows_updates": is_asked,
             "has_tolerance": tolerance is not None, "tolerance": tolerance or 0.0, "serializes": interface.serializes,
             "nmoving": len(moving), "moving": self.place.array(moving, "uint32"),
-            "nparameters": len(parameters), "parameters": self.place.structures("ContainerParameter", parameters),
-            "nheard": len(heard), "heard": self.place.texts(heard),
-            **self._names(unit),
+            **self._rows(list(self._parameters(unit))), **self._names(foreign, slots, unit.values),
         }  # fmt: skip
 
-    def _names(self, unit: CoupledUnit) -> Fields:
+    def _described(self, path: str, foreign: Foreign) -> Fields:
+        """How an FMU is found and instantiated."""
+        description = foreign.description
+        names = [category.name for category in description.categories]
+        heard = [name for name in names if name in FAILURES]
+        heard = heard if len(heard) < len(names) else []
+        return {
+            "name": _text(path), "folder": _text(self.inner.folders[foreign.path]),
+            "identifier": _text(foreign.interface.identifier), "token": _text(description.token),
+            "fmi": description.fmi, "nheard": len(heard), "heard": self.place.texts(heard),
+        }  # fmt: skip
+
+    def _rows(self, parameters: Sequence[Fields]) -> Fields:
+        rows = self.place.structures("ContainerParameter", parameters)
+        return {"nparameters": len(parameters), "parameters": rows}
+
+    def _names(self, foreign: Foreign, used: Sequence[ModelVariable], given: Iterable[str]) -> Fields:
         """The names of the variables that are set and read, in the order of trace.h."""
-        foreign = unit.foreign
-        assert foreign is not None
-        used = {slot.variable.name: slot.variable for slot in (*unit.slots_in, *unit.slots_out)}
-        used |= {variable.name: variable for name, variable in foreign.variables.items() if name in unit.values}
-        rows = trace_names(used.values(), foreign.description.fmi)
+        known = {variable.name: variable for variable in used}
+        known |= {foreign.variables[name].name: foreign.variables[name] for name in given if name in foreign.variables}
+        rows = trace_names([*known.values()], foreign.description.fmi)
         fields = [
             {"reference": reference, "call": call, "size": size, "name": _text(name)}
             for call, reference, size, name in rows

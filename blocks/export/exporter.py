@@ -175,8 +175,10 @@ def _check_contents(plan: Plan) -> None:
     """Refuse what no FMU can contain. Raises ModelError (E606)."""
     cure = "Replace it by a block with equations, or export the diagram without it."
     steppers = [(part.path, "is a program in Python, which an FMU cannot contain.") for part in plan.steppers]
-    fmus = [(part.path, "is an FMU, which the FMU of a diagram cannot contain.") for part in plan.foreign]
-    faults = [Fault("E606", path, message, cure) for path, message in (*steppers, *fmus)]
+    faults = [Fault("E606", path, message, cure) for path, message in steppers]
+    message = "is an FMU for Model Exchange, which an FMU can contain only beside one for Co-Simulation."
+    cure = 'Use it as "kind": "CS" if it has that, or export the diagram without it.'
+    faults += [Fault("E606", part.path, message, cure) for part in plan.foreign]
     why = why_not(plan)
     if why:
         cure = "Use rounder periods and steps, such as multiples of 1 us."
@@ -338,13 +340,14 @@ class _MadeContainer(_Made):
         for text in code.models.values():
             self.sources |= packaged(*loop_units(text))
         self.sources |= packaged_texts(*trace.SOURCES)
+        self.sources |= packaged("fmu_bridge.c") if any(plan.foreign for plan in plans) else {}
         self.headers = {name: text for name, text in master.items() if name.endswith(".h")} | _c_files("container.h")
-        self.headers |= packaged_texts(*trace.HEADERS)
+        self.headers |= {**packaged_texts(*trace.HEADERS), **packaged("fmu_bridge.h")}
         self.headers["trace.h"] = _INSIDE + self.headers["trace.h"]
         names = self._completed()
         self._signed(tables, self._container(coupling, variables, dependencies, names, code))
         told = (f"inside: {path} ({what}; license: {first_words(text)})" for path, what, text in self.model.inside)
-        isolated = [unit.path for _, unit in self.inner.units if unit.foreign is not None and unit.foreign.isolate]
+        isolated = [one.path for one in self.inner.all if one.foreign.isolate]
         self.notes = (*told, *variables.notes)
         if isolated:
             self.notes += (f"not in processes of their own there: {', '.join(isolated)}",)
@@ -355,7 +358,6 @@ class _MadeContainer(_Made):
     ) -> Model:  # fmt: skip
         order, settings = self.order, coupling.settings
         name = order.name or order.value.name
-        foreign = [unit.foreign for _, unit in self.inner.units if unit.foreign is not None]
         step = settings.every if settings.every is not None else coupling.shortest
         return Model(
             name=name,
@@ -376,7 +378,7 @@ class _MadeContainer(_Made):
             sources=names,
             container=Abilities(
                 code.saves, code.serializes, not any(unit.is_rigid for unit in coupling.units),
-                any(one.interface.once_per_process for one in foreign),
+                any(one.interface.once_per_process for one in self.inner.all),
             ),
             inside=tuple(self.inner.told()),
         )  # fmt: skip

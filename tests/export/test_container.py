@@ -177,6 +177,31 @@ def test_events_inside_happen_where_a_run_has_them() -> None:
     assert_same(d, exported(d, 3), 4.0, 0.05)
 
 
+@each_fmi
+@pytest.mark.parametrize("inside", [2, 3])
+def test_an_fmu_for_model_exchange_stays_among_the_blocks(fmi: int, inside: int) -> None:
+    """With crossings and parameters, beside an FMU that has a solver of its own."""
+    d = Diagram("both")
+    d.parameter("gain", 2.0)
+    wave, relay = d.add("wave", Sine(omega=2.5)), d.add("relay", Relay(on_at=0.2, off_at=-0.2))
+    switch = d.add("switch", fmu(inner(Switching, inside), kind="ME"))
+    one = d.add("one", fmu(inner(Scaled, inside), kind="ME", k="=gain", x_start=0.5))
+    lag = d.add("lag", fmu(inner(Lag, inside), kind="CS"))
+    d.wire(switch.u, wave.y)
+    d.wire(one.u, switch.on)
+    d.wire(relay.u, lag.x)
+    d.wire(lag.u, one.twice)
+    for name, source in (("on", "switch.on"), ("x", "one.x"), ("y", "lag.x"), ("r", "relay.y")):
+        d.output(name, source)
+    d.settings(
+        stop=4.0, every=0.05, log=["switch.on", "one.x", "lag.x", "relay.y"], master={"step": 0.05, "order": 1}
+    )
+    path = exported(d, fmi)
+    assert_same(d, path, 4.0, 0.05)
+    assert_same(d, path, 4.0, 0.05, parameters={"gain": -0.7})
+    assert validate_fmu(str(path)) == []
+
+
 # --- in each other -----------------------------------------------------------------------------------------------
 
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ...compile.c import runtime_layout
+from ...compile.c.foreign_tables import FOREIGN_CALLS, ForeignTables
 from ...compile.c.runtime_texts import packaged
 from ...compile.c.structures import structures
 from ...compile.plan import Plan
 from ...fmi.exits import Ended
-from ...fmi.model_description import ModelVariable
 from ...fmi.types import NUMBERS, call_of, call_of_code, code_of, full_name
 from ...text.arrays import Array
 from ...text.errors import Fault, FMUError, SimulationError
@@ -21,65 +21,33 @@ from ..run.model_exchange import Foreigns, ModelExchangeUnit
 
 _INITIALIZES, _CONTINUOUS, _AT_EVENT = 0, 1, 2
 _MODES = ("initialization", "continuous", "event")
-_CALLS = (
-    "SetTime", "SetContinuousStates", "GetContinuousStates", "GetContinuousStateDerivatives", "GetEventIndicators",
-    "CompletedIntegratorStep", "EnterEventMode", "UpdateDiscreteStates", "EnterContinuousTimeMode",
-    "ExitInitializationMode",
-)  # fmt: skip
 _GET, _SET, _ENDS = 100, 200, 1000
 _STRUCTURES = structures(
     *packaged("fmu_bridge.h").values(), known=runtime_layout.STRUCTURES, BLOCKS_TYPES=len(NUMBERS) + 1
 )
 _FOREIGN, _FOREIGNS = (_STRUCTURES[name] for name in ("BlocksForeign", "BlocksForeigns"))
 _VARIABLE = np.dtype(_STRUCTURES["BlocksVariable"])
+_DOUBLES = (
+    "x", "factors", "origins", "u", "had", "seen", "given", "raw", "values", "scales", "offsets", "followed",
+)  # fmt: skip
 
 
-class FmuArrays:
+class FmuArrays(ForeignTables):
     """What C reads and writes of one FMU."""
 
     def __init__(self, unit: ModelExchangeUnit, plan: Plan, place: Array) -> None:
-        opaque, part = unit.opaque, unit.part
-        fmi, foreign = opaque.fmi, unit.foreign
-        scales, offsets = [scale for *_, scale in opaque.inputs], list(opaque.offsets)
-        variables = [
-            (variable.reference, code_of(variable.type, fmi), first, size, int(held))
-            for (variable, first, size), held in zip(unit.variables, unit.is_held, strict=True)
-        ]
-        tunables: list[int] = []
-        self.used: list[ModelVariable] = [variable for variable, _, _ in unit.variables]
-        for name, first, size in unit.tunable:
-            variable, scale = foreign.variables[name], foreign.scales.get(name, 1.0)
-            variables.append((variable.reference, code_of(variable.type, fmi), len(scales), size, 1))
-            self.used.append(variable)
-            scales += [scale] * size
-            offsets += [foreign.offsets.get(name, 0.0)] * size
-            tunables += range(first, first + size)
-        asked = [item.variable for item in opaque.items if item.variable is not None]
-        self.used += asked
-        nx, nu = len(opaque.states), len(scales)
-        room = nx + nu + opaque.indicators + sum(math.prod(v.shape) for v in {id(v): v for v in asked}.values()) + 8
+        super().__init__(plan, unit.part, place)
+        nx, nu = self.sizes["nx"], self.sizes["nu"]
         self.x, self.u, self.had, self.seen, self.given = (np.full(max(n, 1), math.nan) for n in (nx, nu, nu, nu, nu))
-        self.raw, self.values = np.zeros(room), np.zeros(room)
-        self.factors, self.scales = np.ones(max(nx, 1)), np.array([*scales, 1.0])
-        self.factors[:nx] = unit.factors
-        self.origins, self.offsets = np.array([*opaque.origins, 0.0]), np.array([*offsets, 0.0])
-        self.variables = np.array(variables, dtype=_VARIABLE)
-        self.tunables = np.array(tunables or [0], dtype=np.int32)
-        self.crossings = np.array(part.crossings or (0,), dtype=np.int32)
-        self.states = np.array([int(place[i]) for i in part.states] or [0], dtype=np.int32)
-        self.used += unit.watched
-        watched = [(variable.reference, code_of(variable.type, fmi), 0, 1, 0) for variable in unit.watched]
-        self.watched = np.array(watched or [(0,) * 5], dtype=_VARIABLE)
-        self.followed = np.full(max(len(unit.watched), 1), math.nan)
-        self.lags = np.zeros(max(len(unit.watched), 1), dtype=np.int32)
-        self.sizes = {
-            "nwatched": len(watched),
-            "fmi": fmi, "nx": nx, "nz": opaque.indicators, "nu": nu, "nvariables": len(variables),
-            "ntunables": len(tunables), "ncrossings": len(part.crossings), "event": part.event,
-            "completes": int(unit.completes),
+        self.raw, self.values = np.zeros(self.room), np.zeros(self.room)
+        self.rows = np.array(self.variables, dtype=_VARIABLE)
+        watched = self.sizes["nwatched"]
+        self.followed, self.lags = np.full(watched + 1, math.nan), np.zeros(watched + 1, dtype=np.int32)
+        self.arrays = {
+            **{name: getattr(self, name) for name in _DOUBLES}, "lags": self.lags, "variables": self.rows,
+            **{name: np.array([*getattr(self, name), 0], np.int32) for name in ("tunables", "crossings", "states")},
+            "watched": np.array(self.watched, dtype=_VARIABLE),
         }  # fmt: skip
-        self.ninputs = nu - len(tunables)
-        self.tuned = slice(self.ninputs, nu)
 
 
 class NativeForeigns:
@@ -107,7 +75,7 @@ class NativeForeigns:
         self.listen()
 
     def _tunables(self, rows: FmuArrays) -> list[int]:
-        return [int(k) for k in rows.tunables[: rows.sizes["ntunables"]]]
+        return rows.tunables
 
     def _connect(self, unit: ModelExchangeUnit, rows: FmuArrays, table: Any) -> None:
         """Fill the table of one instance, in which nothing is known to be set."""
@@ -117,13 +85,9 @@ class NativeForeigns:
         table.component = instance.component
         for name, value in rows.sizes.items():
             setattr(table, name, value)
-        for name in (
-            "x", "factors", "origins", "u", "had", "seen", "given", "raw", "values", "scales", "offsets", "variables",
-            "tunables",
-            "crossings", "states", "watched", "followed", "lags",
-        ):  # fmt: skip
-            setattr(table, name, getattr(rows, name).ctypes.data)
-        for k, name in enumerate(_CALLS):
+        for name, array in rows.arrays.items():
+            setattr(table, name, array.ctypes.data)
+        for k, name in enumerate(FOREIGN_CALLS):
             if name == "CompletedIntegratorStep" and not rows.sizes["completes"]:
                 continue
             if name == "GetEventIndicators" and not rows.sizes["nz"]:
@@ -160,7 +124,7 @@ class NativeForeigns:
                 for (_, first, size), held in zip(unit.variables, unit.is_held, strict=True)
             ]
             table.t, table.stale = math.nan, 1
-            for variable in rows.variables:
+            for variable in rows.rows:
                 if not variable["held"]:
                     first, size = int(variable["first"]), int(variable["size"])
                     rows.had[first : first + size] = math.nan
@@ -178,7 +142,7 @@ class NativeForeigns:
             rows.u[rows.tuned] = rows.seen[rows.tuned] = rows.had[rows.tuned] = [
                 plan.parameters[k] for k in self._tunables(rows)
             ]
-            for variable in rows.variables:
+            for variable in rows.rows:
                 if variable["held"]:
                     first, size = int(variable["first"]), int(variable["size"])
                     rows.had[first : first + size] = rows.seen[first : first + size]
@@ -215,7 +179,7 @@ class NativeForeigns:
                 name = ("Set" if call >= _SET else "Get") + call_of_code(call % 100, fmi)
                 about = next((v.name for v in rows.used if v.reference == table.reference), "")
             else:
-                name = _CALLS[call]
+                name = FOREIGN_CALLS[call]
             try:
                 unit.one.judge(full_name(name, fmi), status, t, about, has_begun=table.epoch > 0)
             except FMUError as error:

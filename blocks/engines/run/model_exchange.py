@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ...compile.c.foreign_tables import MOST_WATCHED
 from ...compile.plan import ForeignPart, Plan
 from ...fmi.exits import Ended
 from ...fmi.instance import Instance, Saved, ended
@@ -31,8 +32,8 @@ from .saved_state import restoring
 
 MOST_UPDATES = 100
 """Event iterations of one FMU at one instant."""
-MOST_LOOKS, MOST_WATCHED, LAGS = 1000, 8, 3
-"""Completed steps at which outputs are looked at, and how many outputs; how often one must lag for a report."""
+MOST_LOOKS, LAGS = 1000, 3
+"""Completed steps at which outputs are looked at; how often one must lag for a report."""
 
 
 class ModelExchangeUnit(FmuDerivatives):

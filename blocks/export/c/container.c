@@ -18,6 +18,9 @@ typedef struct {
     const ContainerIsland *what;
     BlocksTrack track;
     double always, *row, *atol, *rates;
+    BlocksForeigns foreigns; /* its FMUs for Model Exchange */
+    InnerFmu **inner;
+    double *numbers; /* what C computes with for these */
 } Island;
 
 struct Fmu {
@@ -40,12 +43,58 @@ struct Fmu {
 
 /* --- life --------------------------------------------------------------------------------------------------------------- */
 
+static BlocksTrace *tracing(const Fmu *f) { return f->categories & FMU_LOG_TRACE ? f->trace : NULL; }
+
+static void unload_foreigns(Island *island)
+{
+    for (int i = 0; island->inner && i < island->foreigns.n; i++) {
+        if (island->inner[i]) inner_terminate(island->inner[i], island->owner->live.mode != FMU_FAILED);
+        inner_free(island->inner[i]);
+        island->inner[i] = NULL;
+    }
+}
+
+/* New instances of the FMUs for Model Exchange of an island, in initialization mode: 1 where one fails, and it was told. */
+static int begin_foreigns(Island *island)
+{
+    Fmu *f = island->owner;
+    const ContainerIsland *what = island->what;
+    const Live *live = &f->live;
+    const double *p = island->sim->memory.p;
+    double *at = island->numbers;
+    unload_foreigns(island);
+    for (int i = 0; i < what->nforeigns; i++) {
+        const ContainerForeign *from = &what->foreigns[i];
+        BlocksForeign *to = &island->foreigns.units[i];
+        if (!(island->inner[i] = inner_new(f, &from->fmu, f->resources, tracing(f)))) return 1;
+        if (inner_begin(island->inner[i], p, live->has_tolerance, live->tolerance, live->start, live->has_stop, live->stop)) return 1;
+        *to = from->table;
+        const int nx = to->nx, nu = to->nu;
+        double **const rows[] = {&to->x, &to->u, &to->had, &to->seen, &to->given, &to->followed, &to->raw, &to->values};
+        const int sizes[] = {nx, nu, nu, nu, nu, to->nwatched, from->room, from->room};
+        for (int k = 0; k < 8; at += sizes[k], k++) {
+            *rows[k] = at;
+            for (int j = 0; j < sizes[k]; j++) at[j] = k < 6 ? NAN : 0.0;
+        }
+        to->lags = (int32_t *)(void *)at;
+        memset(at, 0, (size_t)to->nwatched * sizeof(double));
+        at += to->nwatched;
+        inner_connect_foreign(island->inner[i], to);
+        to->mode = BLOCKS_INITIALIZES;
+        to->t = live->start;
+        to->next_event = INFINITY;
+        for (int k = 0; k < to->ntunables; k++) to->u[nu - to->ntunables + k] = to->had[nu - to->ntunables + k] = p[to->tunables[k]];
+    }
+    return 0;
+}
+
 /* A run of equations stands at its start, with the inputs in its row; called by the master. */
 static int stand(void *component)
 {
     BlocksSim *s = component;
     Island *island = (Island *)(void *)s->setup;
     blocks_reset(s);
+    if (island->what->nforeigns && begin_foreigns(island)) return 1;
     s->slice = INFINITY;
     s->polynomials = NULL;
     return stand_at_start(island->owner, s, &island->what->run) || blocks_begin(s);
@@ -65,14 +114,31 @@ static void unload_fmus(Fmu *f)
     f->has_begun = 0;
 }
 
-static BlocksTrace *tracing(const Fmu *f) { return f->categories & FMU_LOG_TRACE ? f->trace : NULL; }
-
 static int load_fmus(Fmu *f)
 {
     unload_fmus(f);
     for (int i = 0; i < container.nfmus; i++)
         if (!(f->fmus[i] = inner_new(f, &container.fmus[i], f->resources, tracing(f)))) return FMU_ERROR;
     return FMU_OK;
+}
+
+static int open_foreigns(Island *island)
+{
+    const ContainerIsland *what = island->what;
+    size_t n = (size_t)what->ntaken + 1;
+    for (int i = 0; i < what->nforeigns; i++) {
+        const ContainerForeign *one = &what->foreigns[i];
+        n += (size_t)(one->table.nx + 4 * one->table.nu + 2 * one->table.nwatched + 2 * one->room);
+    }
+    if (!what->nforeigns) return 0;
+    island->inner = calloc((size_t)what->nforeigns, sizeof *island->inner);
+    island->foreigns.units = calloc((size_t)what->nforeigns, sizeof *island->foreigns.units);
+    island->foreigns.taken = calloc(n, sizeof(double));
+    if (!island->inner || !island->foreigns.units || !island->foreigns.taken) return 1;
+    island->foreigns.n = what->nforeigns;
+    island->numbers = island->foreigns.taken + what->ntaken;
+    island->sim->memory.f = &island->foreigns;
+    return 0;
 }
 
 static int open_islands(Fmu *f)
@@ -93,6 +159,7 @@ static int open_islands(Fmu *f)
         island->setup.ntracks = model->nu > 0;
         island->setup.atol = island->atol;
         if (!(island->sim = blocks_new(&island->setup))) return 1;
+        if (open_foreigns(island)) return 1;
         island->sim->keeps_past = 1;
         island->sim->memory.n = what->run.numbers;
         island->sim->memory.c = what->run.tables;
@@ -150,11 +217,15 @@ void fmu_free(Fmu *f)
     if (!f) return;
     unload_fmus(f);
     master_close(&f->master);
-    if (f->trace) blocks_trace_free(f->trace);
     for (int i = 0; f->islands && i < container.nislands; i++) {
+        unload_foreigns(&f->islands[i]);
+        free(f->islands[i].inner);
+        free(f->islands[i].foreigns.units);
+        free(f->islands[i].foreigns.taken);
         blocks_free(f->islands[i].sim);
         free(f->islands[i].row);
     }
+    if (f->trace) blocks_trace_free(f->trace);
     free(f->islands);
     free(f->fmus);
     free(f->settings);
@@ -181,6 +252,9 @@ void fmu_set_mode(Fmu *f, int mode)
 {
     for (int i = 0; mode == FMU_TERMINATED && i < container.nfmus; i++)
         inner_terminate(f->fmus[i], f->live.mode != FMU_FAILED);
+    for (int i = 0; mode == FMU_TERMINATED && i < container.nislands; i++)
+        for (int k = 0; k < f->islands[i].foreigns.n; k++)
+            if (f->islands[i].inner[k]) inner_terminate(f->islands[i].inner[k], f->live.mode != FMU_FAILED);
     f->live.mode = mode;
 }
 
@@ -205,6 +279,41 @@ static const char *call_text(char *text, size_t size, int unit, int function)
     return text;
 }
 
+/* The FMU for Model Exchange that stopped an island; null: none did. */
+static BlocksForeign *stopped_by(Fmu *f, const char **name)
+{
+    const Master *m = &f->master;
+    for (int i = 0; i < container.nislands && m->failure; i++) {
+        Island *island = &f->islands[i];
+        for (int k = 0; container.islands[i].unit == m->unit && k < island->foreigns.n; k++) {
+            *name = container.islands[i].foreigns[k].fmu.name;
+            if (island->foreigns.units[k].status) return &island->foreigns.units[k];
+        }
+    }
+    return NULL;
+}
+
+/* Whether an FMU for Model Exchange inside has ended the run: at the last communication point, and that is no failure. */
+static int is_ended_inside(Fmu *f)
+{
+    const char *name;
+    const BlocksForeign *one = f->master.failure == MASTER_SIMULATION ? stopped_by(f, &name) : NULL;
+    return one && one->status == BLOCKS_ENDS;
+}
+
+static int foreign_failed(Fmu *f, const BlocksForeign *one, const char *name)
+{
+    static const char *const what[] = {"ended the run", "does not end its event iteration", "has a state that is not finite after an event",
+                                       "discards the end of an accepted step"};
+    static const char *const words[] = {"ok", "a warning", "discard", "an error", "a fatal error"};
+    if (one->status >= BLOCKS_ENDS)
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s: %s at t = %.17g s", name, what[one->status - BLOCKS_ENDS], one->t);
+    const int is_set = one->call >= BLOCKS_SET, is_get = one->call >= BLOCKS_GET && !is_set;
+    return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s: fmi%d%s%s returned %s at t = %.10g s", name, one->fmi, is_set ? "Set" : is_get ? "Get" : "",
+                   is_set || is_get ? container_types[one->fmi - 2][one->call % 100] : container_foreign_calls[one->fmi - 2][one->call] + 4,
+                   one->status <= 4 ? words[one->status] : "a status that does not exist", one->t);
+}
+
 /* Tells what stopped the master, and stands in FMU_FAILED. */
 static int failed(Fmu *f)
 {
@@ -216,6 +325,9 @@ static int failed(Fmu *f)
     f->live.mode = FMU_FAILED;
     f->live.known = 0;
     if (what == MASTER_SIMULATION || what == MASTER_NOT_BEGUN) {
+        const char *name = "";
+        const BlocksForeign *one = stopped_by(f, &name);
+        if (one) return foreign_failed(f, one, name);
         for (int i = 0; i < container.nislands; i++)
             if (container.islands[i].unit == unit && f->islands[i].sim->failure)
                 return tell_failure(f, f->islands[i].sim, &container.islands[i].run, f->islands[i].rates);
@@ -307,6 +419,12 @@ void fmu_log_categories(Fmu *f, int categories)
     if (was_traced == is_traced) return;
     for (int i = 0; i < container.nfmus; i++)
         if (f->fmus[i]) inner_trace(f->fmus[i], tracing(f));
+    for (int i = 0; i < container.nislands; i++)
+        for (int k = 0; k < f->islands[i].foreigns.n; k++) {
+            InnerFmu *in = f->islands[i].inner[k];
+            if (in) inner_trace(in, tracing(f));
+            if (in) inner_connect_foreign(in, &f->islands[i].foreigns.units[k]);
+        }
     if (f->master.owned) connect(f);
 }
 
@@ -551,6 +669,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
     if (wrong_step_from(f, m->t, t, h)) return FMU_ERROR;
     f->live.steps++;
     const double begin_t = m->t, goal = snapped(f, t + h, h);
+    int is_ended = 0;
     if (!(goal > begin_t))
         return fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "the step of %g s is too short to be seen at t = %.17g s", h, begin_t);
     if (act(f)) return FMU_ERROR;
@@ -558,10 +677,11 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
     m->soft = is_own ? goal : INFINITY;
     while (m->t < goal && !master_has_ended(m))
         if (master_run(m, is_own ? (isnan(m->end) ? INFINITY : m->end) : goal) == MASTER_FAILED) {
+            if ((is_ended = is_ended_inside(f))) break;
             step->last_time = m->t;
             return failed(f);
         }
-    step->terminate = master_has_ended(m);
+    step->terminate = is_ended || master_has_ended(m);
     step->returned_early = m->t < goal;
     step->last_time = m->t < goal ? m->t : t + h; /* as it was asked for, where it was taken to the point beside it */
     int status = warned(f), wrong = shown(f, container.outputs, fmu_model.noutputs, f->outputs);

@@ -3,11 +3,12 @@
 #define BLOCKS_CONTAINER_H
 
 #include "fmu.h"
+#include "fmu_bridge.h"
 #include "fmu_model.h"
 #include "master.h"
 #include "trace.h"
 
-/* Values that a setting, or a text, gives a parameter or a start value of an FMU. */
+/* Values that a setting, a row of numbers, or a text gives a parameter or a start value of an FMU. */
 typedef struct {
     uint32_t reference;
     int32_t type;                 /* of fmu_types.h; -1: a text */
@@ -15,10 +16,11 @@ typedef struct {
     int32_t first, count;         /* of the settings; of a text 0 and 1 */
     double scale, offset;         /* what 1 and 0 of the FMU are in SI */
     const double *told;           /* (count) what the FMU has by its description; null: it is always set */
+    const double *given;          /* (count) numbers of the FMU; null: those of the settings */
     const char *text;
 } ContainerParameter;
 
-/* An FMU, by its place among the units. folder: in resources. heard: categories of its messages that are asked for. */
+/* An FMU, by its place among the units, -1 of one for Model Exchange, whose settings are the parameters of its island. folder: in resources. heard: categories of its messages that are asked for. */
 typedef struct {
     const char *name, *folder, *identifier, *token;
     int32_t fmi, unit, event_mode, early_return, follows_updates, has_tolerance, serializes;
@@ -36,11 +38,19 @@ typedef struct {
     int32_t from, to, count;
 } ContainerPiece;
 
-/* Blocks with equations, by their place among the units. */
+/* An FMU for Model Exchange in an island. table: what does not change of its table there; room: of its scratch. */
+typedef struct {
+    ContainerFmu fmu;
+    BlocksForeign table;
+    int32_t room;
+} ContainerForeign;
+
+/* Blocks with equations, by their place among the units. ntaken: inputs of its FMUs. */
 typedef struct {
     FmuRun run;
-    int32_t unit, npieces;
+    int32_t unit, npieces, nforeigns, ntaken;
     const ContainerPiece *pieces;
+    const ContainerForeign *foreigns;
 } ContainerIsland;
 
 typedef struct {
@@ -57,6 +67,7 @@ typedef struct {
 extern const Container container;
 /* By the version of FMI (2, 3) less 2: the functions of master.h, and what sets or gets a type of fmu_types.h. */
 extern const char *const container_calls[2][CALLS_OF_FMI], *const container_types[2][BLOCKS_TYPES];
+extern const char *const container_foreign_calls[2][BLOCKS_CALLS]; /* those of fmu_bridge.h */
 
 /* --- one FMU inside; inner_fmu.c ---- */
 typedef struct InnerFmu InnerFmu;
@@ -67,6 +78,7 @@ InnerFmu *inner_new(Fmu *owner, const ContainerFmu *what, const char *resources,
 void inner_trace(InnerFmu *in, BlocksTrace *trace); /* from now on, once it is connected again */
 /* Fill the functions of its unit, and of calls that move values. */
 int inner_connect(InnerFmu *in, MasterUnit *u);
+void inner_connect_foreign(InnerFmu *in, BlocksForeign *table);
 int inner_connect_groups(InnerFmu *in, MasterGroup *groups, int n, const char *way);
 /* Up to initialization mode, with its parameters by the settings. */
 int inner_begin(InnerFmu *in, const double *settings, int has_tolerance, double tolerance, double start, int has_stop, double stop);

@@ -59,6 +59,8 @@ typedef void *(*Instantiate2)(const char *name, int kind, const char *token, con
 typedef void *(*Instantiate3)(const char *name, const char *token, const char *resources, bool visible, bool logging,
                               bool event_mode, bool early_return, const uint32_t *moving, size_t nmoving, void *environment,
                               Log3, void *update);
+typedef void *(*InstantiateModel3)(const char *name, const char *token, const char *resources, bool visible, bool logging,
+                                   void *environment, Log3);
 typedef void (*Free)(void *);
 typedef int (*Plain)(void *);
 typedef int (*Logging2)(void *, int on, size_t n, const char *const *categories);
@@ -298,7 +300,8 @@ static int instantiate(InnerFmu *in)
 {
     const ContainerFmu *what = in->what;
     char *folder = text_of("%s/resources", in->resources), *place = NULL;
-    const char *name = what->fmi == 2 ? "Instantiate" : "InstantiateCoSimulation";
+    const int is_model = what->unit < 0;
+    const char *name = what->fmi == 2 ? "Instantiate" : is_model ? "InstantiateModelExchange" : "InstantiateCoSimulation";
     const char *const given[] = {"instanceName", what->name, what->fmi == 2 ? "fmuGUID" : "instantiationToken", what->token};
     int there = folder && exists(folder);
     if (folder) place = what->fmi == 2 ? uri_of(folder) : text_of("%s/", folder);
@@ -307,7 +310,10 @@ static int instantiate(InnerFmu *in)
     } else if (what->fmi == 2) {
         in->callbacks = (Callbacks2){hear_2, calloc, free, NULL, in};
         if (in->is_traced) blocks_trace_making(in->traced, "fmi2Instantiate", given, 2);
-        in->component = FOUND(Instantiate2, name)(what->name, 1, what->token, place, &in->callbacks, 0, 1);
+        in->component = FOUND(Instantiate2, name)(what->name, !is_model, what->token, place, &in->callbacks, 0, 1);
+    } else if (is_model) {
+        if (in->is_traced) blocks_trace_making(in->traced, "fmi3InstantiateModelExchange", given, 2);
+        in->component = FOUND(InstantiateModel3, name)(what->name, what->token, there ? place : NULL, false, true, in, hear_3);
     } else {
         if (in->is_traced) blocks_trace_making(in->traced, "fmi3InstantiateCoSimulation", given, 2);
         void (*update)(void *, double, int, int, int, int, void *, double *) = what->follows_updates ? master_intermediate : NULL;
@@ -392,6 +398,23 @@ int inner_connect(InnerFmu *in, MasterUnit *u)
     return FMU_OK;
 }
 
+void inner_connect_foreign(InnerFmu *in, BlocksForeign *table)
+{
+    const int fmi = in->what->fmi;
+    char name[40];
+    table->component = caller(in);
+    for (int k = 0; k < BLOCKS_CALLS; k++)
+        if ((k != BLOCKS_COMPLETED || table->completes) && (k != BLOCKS_GET_INDICATORS || table->nz))
+            table->calls[k] = function(in, container_foreign_calls[fmi - 2][k]);
+    for (int type = 0; type < BLOCKS_TYPES; type++) {
+        if (!container_types[fmi - 2][type][0]) continue;
+        snprintf(name, sizeof name, "Get%s", container_types[fmi - 2][type]);
+        table->get[type] = found(in, name);
+        name[0] = 'S';
+        table->set[type] = found(in, name);
+    }
+}
+
 int inner_connect_groups(InnerFmu *in, MasterGroup *groups, int n, const char *way)
 {
     char name[40];
@@ -407,9 +430,12 @@ int inner_connect_groups(InnerFmu *in, MasterGroup *groups, int n, const char *w
 static int same(double a, double b) { return a == b || fabs(a - b) <= 4e-16 * fmax(fabs(a), fabs(b)); }
 
 /* Whether the FMU has these values already. */
-static int is_told(const ContainerParameter *p, const double *values)
+static int is_told(const ContainerFmu *what, const ContainerParameter *p, const double *values)
 {
-    if (!p->told) return 0;
+    if (!p->told || p->given) return 0;
+    for (int k = 0; k < p->count && what->unit < 0; k++)
+        if ((p->offset != 0.0 ? p->told[k] * p->scale + p->offset : p->told[k] * p->scale) != values[k]) return 0;
+    if (what->unit < 0) return 1;
     for (int k = 0; k < p->count; k++) {
         double own = (values[k] - p->offset) / p->scale;
         if (p->offset != 0.0 ? !same(values[k], p->told[k] * p->scale + p->offset) : !same(own, p->told[k])) return 0;
@@ -449,7 +475,7 @@ static int set_type(InnerFmu *in, int type, int is_size, const double *settings,
         refs[references++] = p->reference;
         for (int k = 0; k < p->count; k++, at++) {
             if (type < 0) ((const char **)row)[at] = p->text;
-            else put_number(type, row, at, (settings[p->first + k] - p->offset) / p->scale);
+            else put_number(type, row, at, p->given ? p->given[k] : (settings[p->first + k] - p->offset) / p->scale);
         }
     }
     if (!refs || !row) complain(in, "there is no memory");
@@ -480,7 +506,7 @@ static int set_parameters(InnerFmu *in, const double *settings)
     if (!wanted) return complain(in, "there is no memory");
     for (int i = 0; i < what->nparameters; i++) {
         const ContainerParameter *p = &what->parameters[i];
-        wanted[i] = p->type < 0 || !is_told(p, settings + p->first);
+        wanted[i] = p->type < 0 || !is_told(what, p, settings + p->first);
         sizes |= wanted[i] && p->is_size;
     }
     int status = FMU_OK;
