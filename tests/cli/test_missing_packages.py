@@ -62,7 +62,7 @@ def test_a_missing_package_is_reported_before_anything_is_computed(
         monkeypatch.setattr("blocks.compile.toolchain.platforms.find_compiler", lambda: None)
     else:
         monkeypatch.setitem(sys.modules, hidden, None)
-    first = "plan" if hidden == "zig" else "Diagram.flatten"  # which compiler is needed, a sound diagram tells
+    first = "exportable" if hidden == "zig" else "Diagram.flatten"  # which compiler is needed, a sound diagram tells
     for place in ("api.run.Prepared.of", f"api.diagram.{first}", "api.diagram.Diagram.start"):
         monkeypatch.setattr(f"blocks.{place}", computes)
     assert main(command) == 2
