@@ -1,7 +1,7 @@
 """FMUs inside an FMU: what a step of one of them costs there, against the native master of a run.
 
-Rings of the tiny FMUs of `master`, with held inputs. The run and the container step the same instances by the same C; the
-container takes all of them in one communication step of its own.
+Rings of the tiny FMUs of `master`, with held inputs. Both step by the same C; the container takes all steps in one
+communication step of its own.
 """
 
 from __future__ import annotations
