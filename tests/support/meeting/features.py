@@ -46,8 +46,10 @@ def allowed(row: Row) -> bool:
     is_rich = fmu != "none" or any(row.get(name, "none") != "none" for name in ("part", "delay", "loop"))
     if row.get("copies", "").endswith("kept") and is_rich:
         return False
-    if fmu != "none" and way in ("lanes", "exported2", "exported3"):
-        return False  # an FMU holds no FMUs, and lanes have none
+    if fmu != "none" and way == "lanes":
+        return False  # lanes have no FMUs
+    if fmu.startswith("me") and way in ("exported2", "exported3"):
+        return False  # an FMU holds them only beside those for Co-Simulation
     if row.get("input", "none") != "none" and way in ("exported2", "exported3"):
         return False  # between communication points an importer holds what a run follows
     return not (fmu in ("cs2", "cs3") and (way in ("resumed", "batch") or row.get("loop", "none") != "none"))
