@@ -456,6 +456,10 @@ def _strictest(declaration: Declaration) -> dict[str, Use]:
     for use in uses(declaration):
         if use.level > (found[use.name].level if use.name in found else TUNABLE):
             found[use.name] = use
+    sized = () if declaration.foreign is None else declaration.foreign.variables.items()
+    for name, variable in sized:
+        if variable.causality == "structuralParameter" and name in declaration.parameters:
+            found[name] = Use(name, "more", CONSTANT, "sizes of the FMU's arrays depend on it")
     return found
 
 
