@@ -45,12 +45,26 @@ struct Fmu {
 
 static BlocksTrace *tracing(const Fmu *f) { return f->categories & FMU_LOG_TRACE ? f->trace : NULL; }
 
-static void unload_foreigns(Island *island)
+/* Those that have left initialization mode, and have not failed. */
+static void terminate_foreigns(Island *island)
 {
     for (int i = 0; island->inner && i < island->foreigns.n; i++) {
-        if (island->inner[i]) inner_terminate(island->inner[i], island->owner->live.mode != FMU_FAILED);
+        const BlocksForeign *unit = &island->foreigns.units[i];
+        if (!island->inner[i] || island->owner->live.mode == FMU_TERMINATED) continue;
+        if (unit->status == 4) inner_fail(island->inner[i], 1);
+        if (unit->mode == BLOCKS_INITIALIZES || unit->status) continue;
+        inner_started(island->inner[i]);
+        inner_terminate(island->inner[i]);
+    }
+}
+
+static void unload_foreigns(Island *island)
+{
+    terminate_foreigns(island);
+    for (int i = 0; island->inner && i < island->foreigns.n; i++) {
         inner_free(island->inner[i]);
         island->inner[i] = NULL;
+        island->foreigns.units[i].mode = BLOCKS_INITIALIZES;
     }
 }
 
@@ -100,13 +114,19 @@ static int stand(void *component)
     return stand_at_start(island->owner, s, &island->what->run) || blocks_begin(s);
 }
 
+static void close_master(Fmu *f)
+{
+    Master *m = &f->master;
+    for (int i = 0; f->fmus && m->owned && i < container.nfmus; i++)
+        for (int whose = 0; f->fmus[i] && whose < 2; whose++) inner_free_state(f->fmus[i], &m->units[container.fmus[i].unit].saved[whose]);
+    master_close(m);
+}
+
 static void unload_fmus(Fmu *f)
 {
-    const Master *m = &f->master;
+    close_master(f);
     for (int i = 0; f->fmus && i < container.nfmus; i++) {
-        MasterUnit *u = m->owned ? &m->units[container.fmus[i].unit] : NULL;
-        for (int whose = 0; f->fmus[i] && u && whose < 2; whose++) inner_free_state(f->fmus[i], &u->saved[whose]);
-        if (f->fmus[i]) inner_terminate(f->fmus[i], f->live.mode != FMU_FAILED);
+        if (f->fmus[i]) inner_terminate(f->fmus[i]);
         inner_free(f->fmus[i]);
         f->fmus[i] = NULL;
     }
@@ -216,7 +236,6 @@ void fmu_free(Fmu *f)
 {
     if (!f) return;
     unload_fmus(f);
-    master_close(&f->master);
     for (int i = 0; f->islands && i < container.nislands; i++) {
         unload_foreigns(&f->islands[i]);
         free(f->islands[i].inner);
@@ -238,7 +257,6 @@ int fmu_reset(Fmu *f)
     const FmuModel *model = &fmu_model;
     const int kind = f->live.kind;
     int status = load_fmus(f);
-    master_close(&f->master);
     memset(&f->live, 0, sizeof f->live);
     f->live.kind = kind;
     f->live.mode = FMU_INSTANTIATED;
@@ -250,11 +268,8 @@ int fmu_reset(Fmu *f)
 
 void fmu_set_mode(Fmu *f, int mode)
 {
-    for (int i = 0; mode == FMU_TERMINATED && i < container.nfmus; i++)
-        inner_terminate(f->fmus[i], f->live.mode != FMU_FAILED);
-    for (int i = 0; mode == FMU_TERMINATED && i < container.nislands; i++)
-        for (int k = 0; k < f->islands[i].foreigns.n; k++)
-            if (f->islands[i].inner[k]) inner_terminate(f->islands[i].inner[k], f->live.mode != FMU_FAILED);
+    for (int i = 0; mode == FMU_TERMINATED && i < container.nfmus; i++) inner_terminate(f->fmus[i]);
+    for (int i = 0; mode == FMU_TERMINATED && i < container.nislands; i++) terminate_foreigns(&f->islands[i]);
     f->live.mode = mode;
 }
 
@@ -311,7 +326,7 @@ static int foreign_failed(Fmu *f, const BlocksForeign *one, const char *name)
     const int is_set = one->call >= BLOCKS_SET, is_get = one->call >= BLOCKS_GET && !is_set;
     return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s: fmi%d%s%s returned %s at t = %.10g s", name, one->fmi, is_set ? "Set" : is_get ? "Get" : "",
                    is_set || is_get ? container_types[one->fmi - 2][one->call % 100] : container_foreign_calls[one->fmi - 2][one->call] + 4,
-                   one->status <= 4 ? words[one->status] : "a status that does not exist", one->t);
+                   one->status >= 0 && one->status <= 4 ? words[one->status] : "a status that does not exist", one->t);
 }
 
 /* Tells what stopped the master, and stands in FMU_FAILED. */
@@ -337,8 +352,8 @@ static int failed(Fmu *f)
         call_text(call, sizeof call, unit, m->function);
     switch (what) {
     case MASTER_STATUS:
-        for (int i = 0; i < container.nfmus && m->status == 4; i++)
-            if (container.fmus[i].unit == unit) inner_lose(f->fmus[i]);
+        for (int i = 0; i < container.nfmus; i++)
+            if (container.fmus[i].unit == unit) inner_fail(f->fmus[i], m->status == 4);
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s returned %s at t = %.10g s", call,
                        m->status >= 0 && m->status <= 5 ? words[m->status] : "a status that does not exist", t);
     case MASTER_STUCK:
@@ -436,7 +451,7 @@ static int open_master(Fmu *f)
     Master *m = &f->master;
     const Live *live = &f->live;
     double shortest = INFINITY;
-    master_close(m);
+    close_master(f);
     *m = *container.master;
     MasterUnit *units = malloc((size_t)m->nunits * sizeof *units);
     int wrong = !units;
@@ -604,6 +619,7 @@ int fmu_exit_initialization(Fmu *f, int has_event_mode)
     if (begin(f)) return FMU_ERROR;
     f->live.set = 0;
     if (master_start(&f->master) == MASTER_FAILED) return failed(f);
+    for (int i = 0; i < container.nfmus; i++) inner_started(f->fmus[i]);
     f->live.mode = has_event_mode ? FMU_EVENT : FMU_STEP;
     int status = warned(f), wrong = shown(f, container.outputs, fmu_model.noutputs, f->outputs);
     return wrong ? wrong : status;
@@ -690,7 +706,8 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
 
 /* --- states of the FMU -------------------------------------------------------------------------------------------------------------- */
 
-/* inner: a state of each FMU inside; null before the initialization has ended. whole: it as bytes, once they were asked for. */
+/* inner: a state of each FMU inside; null before the initialization has ended. whole: it as bytes, once they were asked for.
+   bytes: null where the last attempt to save failed. */
 struct FmuSaved {
     Fmu *owner;
     int64_t generation;
@@ -716,6 +733,16 @@ static void empty(FmuSaved *saved)
     free(saved->whole);
     free(saved->bytes);
     saved->inner = NULL, saved->whole = saved->bytes = NULL;
+}
+
+/* Whether it was saved as a whole, by the FMUs that are inside now; without states of theirs it fits any. */
+static int is_usable(const FmuSaved *saved)
+{
+    Live live;
+    if (!saved->bytes || saved->size < sizeof live) return 0;
+    memcpy(&live, saved->bytes, sizeof live);
+    if (live.mode <= FMU_INITIALIZATION) return 1;
+    return saved->inner && saved->generation == saved->owner->generation;
 }
 
 static FmuSaved *emptied(Fmu *f, FmuSaved *saved)
@@ -750,7 +777,8 @@ int fmu_save(Fmu *f, FmuSaved **saved)
         for (int i = 0; i < container.nfmus && !status; i++) status = inner_get_state(f->fmus[i], &made->inner[i]);
     }
     if (status) {
-        if (!*saved) fmu_forget(made);
+        if (*saved) empty(made);
+        else fmu_forget(made);
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state cannot be saved");
     }
     w = (BlocksWalk){made->bytes, made->bytes + made->size, 0, 0, 0};
@@ -762,8 +790,9 @@ int fmu_save(Fmu *f, FmuSaved **saved)
 int fmu_restore(Fmu *f, const FmuSaved *saved)
 {
     Live live;
-    memcpy(&live, saved->bytes, sizeof live);
-    if (saved->owner != f || saved->generation != f->generation || live.kind != f->live.kind)
+    if (saved->owner == f && is_usable(saved)) memcpy(&live, saved->bytes, sizeof live);
+    else live.kind = 0;
+    if (live.kind != f->live.kind)
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state is not one of this instance as it is since its last reset");
     const Live now = f->live;
     f->live = live;
@@ -799,7 +828,7 @@ static void make_whole(FmuSaved *saved)
     Fmu *f = saved->owner;
     unsigned char **parts = calloc((size_t)container.nfmus + 1, sizeof *parts), *to;
     size_t *sizes = calloc((size_t)container.nfmus + 1, sizeof *sizes), total = 64 + sizeof(uint64_t) + saved->size + sizeof(uint64_t);
-    int wrong = !parts || !sizes || !container.serializes || saved->generation != f->generation;
+    int wrong = !parts || !sizes || !container.serializes || !is_usable(saved);
     for (int i = 0; i < container.nfmus && !wrong && saved->inner; i++) {
         parts[i] = inner_serialize(f->fmus[i], saved->inner[i], &sizes[i]);
         wrong = !parts[i];
@@ -871,7 +900,8 @@ int fmu_deserialize(Fmu *f, const unsigned char *bytes, size_t size, FmuSaved **
             wrong = !(part = next_bytes(&from, end, &n)) || inner_deserialize(f->fmus[i], part, n, &made->inner[i]);
     }
     if (wrong) {
-        if (!*saved) fmu_forget(made);
+        if (*saved) empty(made);
+        else fmu_forget(made);
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state of an FMU inside cannot be taken from these bytes");
     }
     *saved = made;

@@ -82,8 +82,9 @@ void inner_connect_foreign(InnerFmu *in, BlocksForeign *table);
 int inner_connect_groups(InnerFmu *in, MasterGroup *groups, int n, const char *way);
 /* Up to initialization mode, with its parameters by the settings. */
 int inner_begin(InnerFmu *in, const double *settings, int has_tolerance, double tolerance, double start, int has_stop, double stop);
-void inner_terminate(InnerFmu *in, int is_running);
-void inner_lose(InnerFmu *in); /* after a fatal error no function of it is called any more */
+void inner_started(InnerFmu *in); /* it has left initialization mode: it is terminated some time */
+void inner_terminate(InnerFmu *in);
+void inner_fail(InnerFmu *in, int is_fatal); /* it is not terminated, and after a fatal error not called at all any more */
 void inner_free(InnerFmu *in);
 int inner_get_state(InnerFmu *in, void **state);
 int inner_set_state(InnerFmu *in, void *state);

@@ -264,10 +264,10 @@ static int lacks(InnerFmu *in, const char *name)
 static int judged(InnerFmu *in, const char *name, int status)
 {
     static const char *const words[] = {"ok", "a warning", "discard", "an error", "a fatal error"};
-    if (status == FATAL) inner_lose(in);
-    if (status <= WARNING) return FMU_OK;
+    if (status == FATAL) inner_fail(in, 1);
+    if (status == OK || status == WARNING) return FMU_OK;
     return fmu_say(in->owner, FMU_ERROR, FMU_LOG_ERROR, "%s: fmi%d%s returned %s", in->what->name, in->what->fmi, name,
-                   status <= FATAL ? words[status] : "a status that does not exist");
+                   status > OK && status <= FATAL ? words[status] : "a status that does not exist");
 }
 
 static int called(InnerFmu *in, const char *name)
@@ -360,15 +360,17 @@ InnerFmu *inner_new(Fmu *owner, const ContainerFmu *what, const char *resources,
     return in;
 }
 
-void inner_lose(InnerFmu *in) { in->is_lost = 1; }
+void inner_fail(InnerFmu *in, int is_fatal)
+{
+    in->must_terminate = 0;
+    in->is_lost |= is_fatal;
+}
 
-void inner_terminate(InnerFmu *in, int is_running)
+void inner_terminate(InnerFmu *in)
 {
     int must = in->must_terminate;
     in->must_terminate = 0;
-    if (must && is_running && !in->is_lost && in->component && found(in, "Terminate") &&
-        FOUND(Plain, "Terminate")(caller(in)) == FATAL)
-        inner_lose(in);
+    if (must && !in->is_lost && found(in, "Terminate") && FOUND(Plain, "Terminate")(caller(in)) == FATAL) inner_fail(in, 1);
 }
 
 void inner_free(InnerFmu *in)
@@ -533,26 +535,34 @@ int inner_begin(InnerFmu *in, const double *settings, int has_tolerance, double 
         int status = FOUND(Enter3, "EnterInitializationMode")(caller(in), has_tolerance, tolerance, start, has_stop, stop);
         if (judged(in, "EnterInitializationMode", status)) return FMU_ERROR;
     }
-    in->must_terminate = 1;
     return FMU_OK;
 }
+
+void inner_started(InnerFmu *in) { in->must_terminate = 1; }
 
 /* --- states ------------------------------------------------------------------------------------------------------------------ */
 
 /* FMI 2 and 3 name these functions differently. */
 #define OF_STATE(verb, rest) (in->what->fmi == 2 ? verb "FMUstate" rest : verb "FMUState" rest)
 
+/* Whether it was told why there is no function of this name to be called. */
+static int has_not(InnerFmu *in, const char *name)
+{
+    if (in->is_lost) return complain(in, "after a fatal error it can only be reset");
+    return found(in, name) ? FMU_OK : lacks(in, name);
+}
+
 int inner_get_state(InnerFmu *in, void **state)
 {
     const char *name = OF_STATE("Get", "");
-    if (!found(in, name)) return lacks(in, name);
+    if (has_not(in, name)) return FMU_ERROR;
     return judged(in, name, FOUND(State, name)(caller(in), state));
 }
 
 int inner_set_state(InnerFmu *in, void *state)
 {
     const char *name = OF_STATE("Set", "");
-    if (!found(in, name)) return lacks(in, name);
+    if (has_not(in, name)) return FMU_ERROR;
     in->must_terminate = 1;
     return judged(in, name, FOUND(Restore, name)(caller(in), state));
 }
@@ -567,10 +577,7 @@ void inner_free_state(InnerFmu *in, void **state)
 unsigned char *inner_serialize(InnerFmu *in, void *state, size_t *size)
 {
     const char *sizes = OF_STATE("Serialized", "Size"), *name = OF_STATE("Serialize", "");
-    if (!found(in, sizes) || !found(in, name)) {
-        lacks(in, name);
-        return NULL;
-    }
+    if (has_not(in, sizes) || has_not(in, name)) return NULL;
     if (judged(in, sizes, FOUND(Size, sizes)(caller(in), state, size))) return NULL;
     unsigned char *bytes = malloc(*size + 1);
     if (bytes && !judged(in, name, FOUND(Serialize, name)(caller(in), state, bytes, *size))) return bytes;
@@ -581,6 +588,6 @@ unsigned char *inner_serialize(InnerFmu *in, void *state, size_t *size)
 int inner_deserialize(InnerFmu *in, const unsigned char *bytes, size_t size, void **state)
 {
     const char *name = in->what->fmi == 2 ? "DeSerializeFMUstate" : "DeserializeFMUState";
-    if (!found(in, name)) return lacks(in, name);
+    if (has_not(in, name)) return FMU_ERROR;
     return judged(in, name, FOUND(Deserialize, name)(caller(in), bytes, size, state));
 }
