@@ -315,6 +315,7 @@ static int64_t native_copy(MasterUnit *u, unsigned char *bytes, int writes)
     blocks_walk_run(&w, s);
     WALK(s->polynomials), WALK(s->fired_events.used), WALK(s->flowed), WALK(u->polynomials.t0);
     blocks_walk(&w, u->inputs, row), blocks_walk(&w, u->terms, 4 * row), blocks_walk(&w, u->track, row);
+#undef WALK
     return (int64_t)w.count;
 }
 
