@@ -850,7 +850,6 @@ class Diagram(Guided):
         of this machine; (): sources only. name: of the model, if not the diagram's. case, words: as of `run`.
         Raises ModelError (E606 and the faults of the diagram), UsageError (E501), CompilerError (E60x).
         """
-        from ..compile.toolchain.platforms import check_compilers
         from ..export.exporter import export
         from ..text.version import __version__
 
@@ -862,7 +861,6 @@ class Diagram(Guided):
             check_name(name)
         value = taken(self.value, case.variants)
         flat = self.flatten(case)
-        check_compilers(platforms)
         return export(
             value, flat, exportable(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, version=__version__,

@@ -48,6 +48,9 @@ def tracer_of(
         raise UsageError(Fault("E501", "log_categories", "are of FMUs that are traced, and none is.", _CURE))
     if not names and file is not None:
         raise UsageError(Fault("E501", "trace_file", "is for the calls of FMUs that are traced, and none is.", _CURE))
+    if file == "-":
+        raise UsageError(Fault("E501", "trace_file", "a trace is written to a file, not to stdout.",
+                               "Name a file."))  # fmt: skip
     if not (names or profile):
         return None
     fmus = _fmus(plan)

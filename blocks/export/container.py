@@ -34,6 +34,7 @@ from ..compile.toolchain.platforms import folder_of, suffix_of
 from ..fmi.archive import Archive
 from ..fmi.calls import FAILURES
 from ..fmi.model_description import Interface, ModelVariable
+from ..fmi.summary import license_in
 from ..fmi.trace import trace_names
 from ..fmi.types import NUMBERS, call_of, call_of_code, code_of, full_name
 from ..model.diagram_value import DiagramValue
@@ -144,8 +145,10 @@ class InnerFmus:
         """Of each FMU: its path, its folder with what it says of itself, and its license."""
         for one in self.all:
             d = one.foreign.described
+            with Archive(one.foreign.path) as archive:
+                license_ = d.license or license_in(archive.files)
             told = [f"{d.name}, FMI {d.version}", *(text for text in (d.tool, d.author, d.copyright) if text)]
-            yield one.path, f"resources/{self.folders[one.foreign.path]}: {', '.join(told)}", d.license or "not given"
+            yield one.path, f"resources/{self.folders[one.foreign.path]}: {', '.join(told)}", license_ or "not given"
 
 
 # --- variables ---------------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
 from ..compile.tableaus import STIFF
 from ..compile.toolchain.compiler import TranslationUnit
-from ..compile.toolchain.platforms import check_compilers, folders, shared_library
+from ..compile.toolchain.platforms import check_compilers, folders, shared_library, this_platform
 from ..contract.enumerations import resting
 from ..fmi import trace
 from ..fmi.headers import standard_headers
@@ -116,10 +116,10 @@ def export(
         raise UsageError(Fault("E501", "fmi", f"must be 2 or 3, the versions of FMI, not {fmi!r}."))
     if Path(path).suffix != ".fmu":
         raise UsageError(Fault("E501", str(path), "the name of an FMU must end in .fmu."))
-    allowed, notes = _allowed(plan, kinds)
+    allowed, notes = _allowed(plan, kinds, platforms)
     wanted = check_compilers(platforms)
     order = _Order(value, flat, plan, fmi, allowed, name, version, drawing)
-    fmu_files = _Made(order) if isinstance(plan, Plan) else _MadeContainer(order, plan, wanted)
+    fmu_files = _Made(order) if isinstance(plan, Plan) else _MadeContainer(order, plan)
     units = fmu_files.units()
     binaries = {platform: shared_library(platform, units) for platform in wanted}
     content = fmu_files.content(binaries)
@@ -147,7 +147,9 @@ def export(
 # --- what can be exported ----------------------------------------------------------------------------------------
 
 
-def _allowed(plan: Plan | Coupling, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _allowed(
+    plan: Plan | Coupling, kinds: Sequence[str] | None, platforms: Sequence[str] | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The kinds that are exported, and notes on those that cannot be. Raises UsageError, ModelError (E606)."""
     if isinstance(kinds, str):
         kinds = (kinds,)
@@ -159,6 +161,7 @@ def _allowed(plan: Plan | Coupling, kinds: Sequence[str] | None) -> tuple[tuple[
         raise UsageError(Fault("E501", "kinds", "an FMU needs at least one kind.", 'Kinds: "CS", "ME".'))
     if isinstance(plan, Coupling):
         check_coupling(plan, kinds)
+        InnerFmus(plan).check_platforms((this_platform(),) if platforms is None else platforms)
         return ("CS",), ()
     _check_contents(plan)
     if not plan.histories:
@@ -319,10 +322,8 @@ class _Made:
 class _MadeContainer(_Made):
     """The same of a diagram with FMUs for Co-Simulation inside."""
 
-    def __init__(self, order: _Order, coupling: Coupling, platforms: Sequence[str]) -> None:
+    def __init__(self, order: _Order, coupling: Coupling) -> None:
         self.order, self.inner = order, InnerFmus(coupling)
-        self.inner.check_platforms(platforms)
-        self.states = sum(len(unit.plan.states) for unit in coupling.units if unit.plan is not None)
         docs = docs_of(order.value, order.flat, "")
         variables = container_variables(order.flat, coupling, _starts(coupling), docs)
         code = ContainerCode(order.value, order.flat, coupling, self.inner, variables)
@@ -348,7 +349,7 @@ class _MadeContainer(_Made):
         self._signed(tables, self._container(coupling, variables, dependencies, names, code))
         told = (f"inside: {path} ({what}; license: {first_words(text)})" for path, what, text in self.model.inside)
         isolated = [one.path for one in self.inner.all if one.foreign.isolate]
-        self.notes = (*told, *variables.notes)
+        self.notes = (*told, *(str(fault) for fault in coupling.warnings), *variables.notes)
         if isolated:
             self.notes += (f"not in processes of their own there: {', '.join(isolated)}",)
 

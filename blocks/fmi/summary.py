@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,7 +31,7 @@ LONGEST = 80
 class Told:
     """The summary of an FMU. verdicts: for each kind the faults that a run of it here would have.
     of_python: the kinds whose binary takes symbols of Python from the program that loads it. inside: the descriptions
-    of the FMUs in its resources, by their folders."""
+    of the FMUs in its resources, by their folders; licenses: the files with theirs."""
 
     place: str
     description: Description
@@ -41,6 +41,7 @@ class Told:
     verdicts: Mapping[str, tuple[Fault, ...]]
     of_python: tuple[str, ...] = ()
     inside: Mapping[str, Description] = field(default_factory=dict)
+    licenses: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def errors(self) -> tuple[Fault, ...]:
@@ -81,7 +82,7 @@ class Told:
         counts = ((len(d.variables), "variable"), (len(d.structure.states), "continuous state"))
         yield f"  {', '.join(_counted(n, what) for n, what in (*counts, (d.indicators, 'event indicator')))}"
         for folder, one in self.inside.items():
-            depth, license_ = folder.count("resources/"), first_words(one.license)
+            depth, license_ = folder.count("resources/"), first_words(one.license) or self.licenses.get(folder, "")
             words = [f"{folder}: {one.name}, FMI {one.version}, {_kinds(one)}", license_ and f"license {license_}"]
             yield f"{'  ' * depth}inside: {', '.join(filter(None, words))}"
 
@@ -147,7 +148,8 @@ def tell(path: str | os.PathLike[str]) -> Told:
             if _INSIDE.fullmatch(name)
         }
         size = os.path.getsize(path)
-        return Told(archive.place, description, ordered, has_sources, size, verdicts, of_python, inside)
+        licenses = {folder: license_in(archive.files, f"{folder}/") for folder in inside}
+        return Told(archive.place, description, ordered, has_sources, size, verdicts, of_python, inside, licenses)
 
 
 def _counted(n: int, what: str) -> str:
@@ -158,6 +160,14 @@ def first_words(text: str) -> str:
     """Return the first line of a text, cut after a word; some FMUs hold a whole license."""
     line = next(iter(text.strip().splitlines()), "")
     return textwrap.shorten(line, LONGEST, placeholder=" ...") if len(line) > LONGEST else line
+
+
+def license_in(files: Iterable[str], folder: str = "") -> str:
+    """Return the file that holds the license of an FMU, by the folder of the standard; "" if there is none."""
+    place = f"{folder}documentation/licenses/"
+    found = sorted(name for name in files if name.startswith(place) and not name.endswith("/"))
+    plain = [name for name in found if name.removeprefix(place).startswith("license.")]
+    return next(iter(plain or found), "").removeprefix(folder)
 
 
 def _kinds(d: Description) -> str:

@@ -405,8 +405,10 @@ def test_info_and_the_export_tell_what_is_inside(tmp_path: Path) -> None:
     d = loop(MOTORS[2])
     told = str(d.export(tmp_path / "x.fmu"))
     assert "inside: motor (resources/PMDCMotor_fmi2: PMDCMotor, FMI 2.0" in told
+    assert "license: documentation/licenses/license.txt" in told
     info = tell(tmp_path / "x.fmu")
     assert "inside: resources/PMDCMotor_fmi2: PMDCMotor, FMI 2.0, Model Exchange and Co-Simulation" in info.info()
+    assert "license documentation/licenses/license.txt" in info.info()
     assert info.entry()["inside"] == [{"folder": "resources/PMDCMotor_fmi2", "name": "PMDCMotor", "fmi": "2.0"}]
 
 
@@ -508,6 +510,14 @@ def test_what_a_container_cannot_be_is_refused(tmp_path: Path) -> None:
     once.wire(other.u, wave.y)
     once.output("y", "second.y")
     assert "E606 second: can be instantiated only once in a process" in refused(lambda: once.export(tmp_path / "x.fmu"))
+    told = refused(lambda: d.export(tmp_path / "x.fmu", platforms=["aarch64-linux"]))
+    assert "E606 a: Displaced.fmu has no binary for aarch64-linux" in told
+
+
+def test_a_step_that_follows_from_the_length_of_the_run_is_told(tmp_path: Path) -> None:
+    d = masses(3)
+    d.settings(master={"order": 1})
+    assert "W211 run.master.step" in str(d.export(tmp_path / "x.fmu"))
 
 
 def test_an_error_of_the_export_leaves_no_file(tmp_path: Path) -> None:
