@@ -33,6 +33,7 @@ struct Fmu {
     InnerFmu **fmus;
     Master master;
     char *resources;
+    FmuSaved *saved;    /* all states that are not forgotten */
     BlocksTrace *trace; /* of all FMUs inside, from when it was first asked for */
     FmuLog log;
     void *owner;
@@ -122,8 +123,11 @@ static void close_master(Fmu *f)
     master_close(m);
 }
 
+static void forget_inner_states(Fmu *f);
+
 static void unload_fmus(Fmu *f)
 {
+    forget_inner_states(f);
     close_master(f);
     for (int i = 0; f->fmus && i < container.nfmus; i++) {
         if (f->fmus[i]) inner_terminate(f->fmus[i]);
@@ -710,6 +714,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
    bytes: null where the last attempt to save failed. */
 struct FmuSaved {
     Fmu *owner;
+    FmuSaved *next, **link; /* of all of the owner; what points to this one */
     int64_t generation;
     void **inner;
     unsigned char *whole;
@@ -725,14 +730,25 @@ static void walk_all(Fmu *f, BlocksWalk *w)
     if (f->live.mode > FMU_INITIALIZATION && f->master.owned) master_walk(w, &f->master);
 }
 
-static void empty(FmuSaved *saved)
+static void empty_inner(FmuSaved *saved)
 {
     for (int i = 0; saved->inner && i < container.nfmus; i++)
-        if (saved->generation == saved->owner->generation) inner_free_state(saved->owner->fmus[i], &saved->inner[i]);
+        if (saved->owner->fmus[i]) inner_free_state(saved->owner->fmus[i], &saved->inner[i]);
     free(saved->inner);
+    saved->inner = NULL;
+}
+
+static void forget_inner_states(Fmu *f)
+{
+    for (FmuSaved *saved = f->saved; saved; saved = saved->next) empty_inner(saved);
+}
+
+static void empty(FmuSaved *saved)
+{
+    empty_inner(saved);
     free(saved->whole);
     free(saved->bytes);
-    saved->inner = NULL, saved->whole = saved->bytes = NULL;
+    saved->whole = saved->bytes = NULL;
 }
 
 /* Whether it was saved as a whole, by the FMUs that are inside now; without states of theirs it fits any. */
@@ -747,10 +763,15 @@ static int is_usable(const FmuSaved *saved)
 
 static FmuSaved *emptied(Fmu *f, FmuSaved *saved)
 {
+    if (saved && saved->owner != f) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state is one of another instance"), NULL;
     if (saved) empty(saved);
     else saved = calloc(1, sizeof *saved);
     if (!saved) fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
-    else saved->owner = f, saved->generation = f->generation;
+    else if (saved->generation = f->generation, !saved->owner) {
+        saved->owner = f, saved->next = f->saved, saved->link = &f->saved;
+        if (f->saved) f->saved->link = &saved->next;
+        f->saved = saved;
+    }
     return saved;
 }
 
@@ -758,6 +779,8 @@ void fmu_forget(FmuSaved *saved)
 {
     if (!saved) return;
     empty(saved);
+    *saved->link = saved->next;
+    if (saved->next) saved->next->link = saved->link;
     free(saved);
 }
 
