@@ -60,7 +60,7 @@ from .case import (
     check_words,
     takes,
 )
-from .checks import checked, exportable, faults_beside, flat_of, single_plan
+from .checks import checked, coupled_block, exportable, faults_beside, flat_of, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
 from .last_made import LastMade, names_files
@@ -850,6 +850,7 @@ class Diagram(Guided):
         of this machine; (): sources only. name: of the model, if not the diagram's. case, words: as of `run`.
         Raises ModelError (E606 and the faults of the diagram), UsageError (E501), CompilerError (E60x).
         """
+        from ..compile.toolchain.platforms import check_compilers
         from ..export.exporter import export
         from ..text.version import __version__
 
@@ -861,6 +862,8 @@ class Diagram(Guided):
             check_name(name)
         value = taken(self.value, case.variants)
         flat = self.flatten(case)
+        if coupled_block(flat) is None:  # else FMUs inside may lack a platform, whose compiler does not matter then
+            check_compilers(platforms)
         return export(
             value, flat, exportable(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, version=__version__,
