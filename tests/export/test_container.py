@@ -526,6 +526,14 @@ def test_an_error_of_the_export_leaves_no_file(tmp_path: Path) -> None:
     assert not (tmp_path / "x.fmu").exists()
 
 
+def test_variables_in_messages_of_fmi_2_have_their_names(tmp_path: Path) -> None:
+    """A reference would be one of the container."""
+    _, messages = stepped(exported(faulty(tmp_path, 2, 3), 2))
+    told = [text for _, _, text in messages if text.startswith("one: [")]
+    assert any("u = " in text for text in told)
+    assert not any("#" in text for text in told)
+
+
 # --- the trace ---------------------------------------------------------------------------------------------------
 
 

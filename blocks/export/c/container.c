@@ -393,6 +393,10 @@ static int warned(Fmu *f)
     char call[400];
     for (int k = 0; k < f->master.nunits; k++) {
         MasterUnit *u = &f->master.units[k];
+        if (u->refused)
+            fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "%s refuses input derivatives of order %d at t = %.10g s: its inputs go in %s",
+                    container.units[k], u->takes + 1, u->refused_t, u->takes ? "as straight lines" : "by their mean over each step");
+        u->refused = 0;
         if (!u->warnings) continue;
         u->warnings = 0;
         any = fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "%s returned a warning at t = %.10g s",

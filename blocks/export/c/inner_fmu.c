@@ -5,6 +5,7 @@
 #define _POSIX_C_SOURCE 200809L
 #include "container.h"
 
+#include <inttypes.h>
 #include <stdarg.h>
 #include <stdbool.h>
 #include <stdio.h>
@@ -105,8 +106,34 @@ static int complain(InnerFmu *in, const char *what)
 
 /* --- what it says ----------------------------------------------------------------------------------------------------- */
 
+/* A message of FMI 2 with names in the place of #r12#, which would be another variable of the container; ## is #. */
+static void name_variables(const InnerFmu *in, const char *text, char *to, size_t size)
+{
+    const ContainerFmu *what = in->what;
+    for (char *end = to + size - 1; *text && to < end;) {
+        uint32_t reference = 0;
+        int length = 0;
+        char letter = 0;
+        if (text[0] == '#' && text[1] == '#') {
+            *to++ = '#', text += 2;
+        } else if (sscanf(text, "#%c%" SCNu32 "#%n", &letter, &reference, &length) == 2 && length && strchr("ribsRIBS", letter)) {
+            const char *name = NULL;
+            for (int k = 0; k < what->nnames && !name; k++)
+                if (what->names[k].reference == reference && what->names[k].call == (letter & ~32)) name = what->names[k].name;
+            int n = name ? snprintf(to, (size_t)(end - to) + 1, "%s", name)
+                         : snprintf(to, (size_t)(end - to) + 1, "variable %" PRIu32, reference);
+            to += n < end - to ? n : end - to, text += length;
+        } else {
+            *to++ = *text++;
+        }
+    }
+    *to = 0;
+}
+
 static void hear(InnerFmu *in, int status, const char *category, const char *text)
 {
+    char named[1000];
+    if (in->what->fmi == 2 && text && strchr(text, '#')) name_variables(in, text, named, sizeof named), text = named;
     int of = status >= ERROR_ && status <= FATAL ? FMU_LOG_ERROR : status == OK ? FMU_LOG_EVENTS : FMU_LOG_WARNING;
     int own = status == OK ? FMU_OK : status == WARNING ? FMU_WARNING : status == DISCARD ? FMU_DISCARD : FMU_ERROR;
     if (in->is_silent) return;
