@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, Gain, Sine, fmu
+from blocks import Diagram, Gain, Relay, Sine, fmu
 from blocks.cli import main
 from blocks.fmi import trace
 from blocks.results.results import Results
@@ -358,3 +358,18 @@ def test_commands_write_traces_and_print_profiles(
     assert done["profile"][0]["calls"] == len(rows_of(tmp_path / "calls.jsonl"))
     assert main(["run", "loop.json", "--trace", "*", "--trace-file", "loop.json"]) == 2
     assert "is also an input of this command" in capsys.readouterr().err
+
+
+def test_after_an_early_return_an_fmu_is_where_it_came_to(tmp_path: Path) -> None:
+    made = Diagram("events")
+    relay = Diagram.alone(Relay(on_at=0.5, off_at=-0.5))
+    relay.export(tmp_path / "relay.fmu")
+    switch, wave = made.add("switch", fmu(tmp_path / "relay.fmu", "CS")), made.add("wave", Sine(omega=3.0))
+    made.wire(switch.u, wave.y)
+    made.settings(stop=2.0, master={"step": 0.1})
+    made.run(engine="native", trace="switch", trace_file=tmp_path / "calls.jsonl")
+    rows = [row for row in rows_of(tmp_path / "calls.jsonl") if "within" not in row]
+    pairs = [(row["gives"], after["t"]) for row, after in itertools.pairwise(rows) if row["call"] == "fmi3DoStep"]
+    early = [(gives["lastSuccessfulTime"], t) for gives, t in pairs if gives.get("earlyReturn")]
+    assert len(early) == 2
+    assert all(last == t for last, t in early)

@@ -89,8 +89,8 @@ static void follow(BlocksTraced *one, const BlocksTraceCall *call, int status)
             *(Status (**)(void * EACH(PARAMETER_, __VA_ARGS__)))&one->originals[CALL_##called];            \
         const Status status = original(one->component EACH(PASS_, __VA_ARGS__));                           \
         blocks_trace_returned(&call);                                                                      \
-        follow(one, &call, (int)status);                                                                   \
         if ((int)status <= 1 || CALL_##called == CALL_DoStep) { EACH(GIVES_, __VA_ARGS__) }                \
+        follow(one, &call, (int)status);                                                                   \
         blocks_trace_end(&call, (int)status);                                                              \
         return status;                                                                                     \
     }
