@@ -187,14 +187,18 @@ def _for_target(zig: Compiler, wanted: Platform) -> Compiler:
     return replace(compiler, suffix=wanted.suffix)
 
 
-def shared_library(platform: str, units: Sequence[TranslationUnit]) -> bytes:
+def shared_library(platform: str, units: Sequence[TranslationUnit], *, loads: bool = False) -> bytes:
     """The bytes of one shared library of these units for a platform, from the cache if it is there.
+
+    loads: it loads other libraries, for which glibc before 2.34 has a library of its own.
 
     The first library for a platform takes zig up to minutes, as it then makes the platform's C library; later ones are
     quick. Raises UsageError (E501) for a platform that does not exist; CompilerError where nothing makes libraries for
     it (E605), and as `build` does (E601, E602, E604).
     """
     compiler = compiler_for(platform)
+    if loads and _platform(platform).system == "linux":
+        compiler = replace(compiler, libraries=(*compiler.libraries, "-ldl"))
     if WITHOUT_RUNTIME in compiler.link_flags:
         text = (Path(__file__).parent / "int128.c").read_text(encoding="utf-8")
         units = [*units, TranslationUnit("int128.c", text, is_shared=True)]

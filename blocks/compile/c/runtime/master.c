@@ -1,7 +1,7 @@
 /* See master.h. A failure is written down once, where it is found; all that called it comes back. */
 #define _POSIX_C_SOURCE 200809L
 #include "master.h"
-#include "limits.h" /* the constants of master_limits.py */
+#include "master_limits.h" /* the constants of master_limits.py */
 
 #include <stdbool.h>
 #include <stdlib.h>
