@@ -121,7 +121,8 @@ def export(
     order = _Order(value, flat, plan, fmi, allowed, name, version, drawing)
     fmu_files = _Made(order) if isinstance(plan, Plan) else _MadeContainer(order, plan)
     units = fmu_files.units()
-    binaries = {platform: shared_library(platform, units, loads=bool(fmu_files.model.container)) for platform in wanted}
+    loads = fmu_files.model.container is not None
+    binaries = {platform: shared_library(platform, units, loads=loads) for platform in wanted}
     content = fmu_files.content(binaries)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 import re
 import shutil
 import sys
@@ -19,6 +20,7 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from blocks import PID, Block, Diagram, Gain, Input, Parameter, Relay, Sine, State, Step, Sum, fmu, output
+from blocks.compile.toolchain.platforms import PLATFORMS, folder_of
 from blocks.fmi.summary import tell
 from blocks.text.errors import BlocksError, FMUError, ModelError
 from tests.support.coupled_systems import Displaced, First, Forced, Lag, Second, Switching
@@ -410,6 +412,20 @@ def test_info_and_the_export_tell_what_is_inside(tmp_path: Path) -> None:
     assert "inside: resources/PMDCMotor_fmi2: PMDCMotor, FMI 2.0, Model Exchange and Co-Simulation" in info.info()
     assert "license documentation/licenses/license.txt" in info.info()
     assert info.entry()["inside"] == [{"folder": "resources/PMDCMotor_fmi2", "name": "PMDCMotor", "fmi": "2.0"}]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="ziglang is not installed")
+@each_fmi
+def test_it_is_built_for_every_platform_of_the_fmus_inside(fmi: int, tmp_path: Path) -> None:
+    Diagram.alone(Lag()).export(tmp_path / "lag.fmu", platforms=list(PLATFORMS))
+    d = Diagram("one")
+    d.wire(d.add("lag", fmu(tmp_path / "lag.fmu", kind="CS")).u, d.add("wave", Sine()).y)
+    d.output("y", "lag.x")
+    d.settings(stop=1.0, every=0.1, log=["lag.x"], master={"step": 0.1})
+    path = exported(d, fmi, platforms=list(PLATFORMS))
+    assert set(tell(path).platforms) >= {folder_of(platform, fmi) for platform in PLATFORMS}
+    assert_same(d, path, 1.0, 0.1)
 
 
 # --- what goes wrong ---------------------------------------------------------------------------------------------
