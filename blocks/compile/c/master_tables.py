@@ -35,7 +35,8 @@ Fields = dict[str, Any]
 @cache
 def master_files() -> dict[str, str]:
     """The texts of master.c and of what it includes, by their names."""
-    return {**packaged("master.c", "master.h", "runtime.h", "model.h", "fmu_types.h"), "master_limits.h": limits_header()}
+    texts = packaged("master.c", "master.h", "runtime.h", "model.h", "fmu_types.h")
+    return {**texts, "master_limits.h": limits_header()}
 
 
 class Place(Protocol):
