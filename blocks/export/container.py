@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -30,9 +30,10 @@ from ..compile.c.runtime_tables import RuntimeTables
 from ..compile.coupling import CoupledUnit, Coupling, Link
 from ..compile.plan import ForeignPart, Plan
 from ..compile.setting_programs import Setting
-from ..compile.toolchain.platforms import folder_of, suffix_of
+from ..compile.toolchain.platforms import folder_of, suffix_of, this_platform
 from ..fmi.archive import Archive
 from ..fmi.calls import FAILURES
+from ..fmi.library import faults as verdict
 from ..fmi.model_description import Interface, ModelVariable
 from ..fmi.summary import license_in
 from ..fmi.trace import trace_names
@@ -41,7 +42,7 @@ from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.fmu_block import Foreign
 from ..text.arrays import Array
-from ..text.errors import Fault, ModelError
+from ..text.errors import Fault, FMUError, ModelError
 from .fmu_model import Dependencies, ExportedVariable
 from .fmu_variables import Variables
 from .tables_code import model_text, run_text
@@ -127,8 +128,11 @@ class InnerFmus:
         return content
 
     def check_platforms(self, platforms: Sequence[str]) -> None:
-        """Raise ModelError (E606) where an FMU inside has no binary for one of the platforms."""
-        faults = []
+        """Raise ModelError (E606) where an FMU inside lacks the binary for a platform, FMUError (E207) for a damaged one.
+
+        Only the binaries for this machine are looked into.
+        """
+        faults, damage = [], []
         for one in self.all:
             fmi, name = one.foreign.description.fmi, one.interface.identifier
             with Archive(one.foreign.path) as archive:
@@ -138,8 +142,13 @@ class InnerFmus:
                         message = f"{one.foreign.path.name} has no binary for {platform}."
                         cure = "Leave this platform out, or compile its sources first: blocks fmu compile."
                         faults.append(Fault("E606", one.path, message, cure))
+                    elif platform == this_platform():
+                        found = verdict(archive, one.foreign.described, one.foreign.kind)
+                        damage += [replace(fault, place=one.path) for fault in found if fault.code == "E207"]
         if faults:
             raise ModelError(*faults)
+        if damage:
+            raise FMUError(*damage)
 
     def told(self) -> Iterator[tuple[str, str, str]]:
         """Of each FMU: its path, its folder with what it says of itself, and its license."""

@@ -530,6 +530,14 @@ def test_what_a_container_cannot_be_is_refused(tmp_path: Path) -> None:
     assert "E606 a: Displaced.fmu has no binary for aarch64-linux" in told
 
 
+def test_a_damaged_binary_is_found_before_it_is_packed(tmp_path: Path) -> None:
+    d = Diagram("damaged")
+    d.wire(d.add("one", fmu(make(tmp_path, binary="truncated"), kind="CS")).u, d.add("wave", Sine()).y)
+    d.output("y", "one.y")
+    with pytest.raises(FMUError, match="E207 one: "):
+        d.export(tmp_path / "x.fmu")
+
+
 def test_a_step_that_follows_from_the_length_of_the_run_is_told(tmp_path: Path) -> None:
     d = masses(3)
     d.settings(master={"order": 1})
