@@ -128,7 +128,7 @@ class InnerFmus:
         return content
 
     def check_platforms(self, platforms: Sequence[str]) -> None:
-        """Raise ModelError (E606) where an FMU inside lacks the binary for a platform, FMUError (E207) for a damaged one.
+        """Raise ModelError (E606) where an FMU inside lacks a platform, FMUError (E207) for a damaged binary.
 
         Only the binaries for this machine are looked into.
         """
