@@ -14,7 +14,7 @@ from ..fmi.exits import telling
 from ..host.gc_pause import paused
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.printable import counted
-from .option_values import case_of, check_writable, look_of
+from .option_values import as_options, case_of, check_writable, look_of
 from .options import Verbs, takes_library, takes_profile, takes_run, takes_several, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, silence, tell_faults, waiting
 from .stop_signals import INTERRUPTED, ended_at_once
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 PRINTED = "rows on stdout"
 LONG = 100_000  # rows that take a moment to write
 MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
+_OBSERVED = {word: f"--{word.replace('_', '-')}" for word in ("trace", "trace_file", "log_categories", "profile")}
 
 
 def add(verbs: Verbs) -> None:
@@ -121,7 +122,8 @@ def _started(
             log_categories=[name.strip() for name in (options.log_categories or "").split(",") if name.strip()],
             profile=options.profile,
         )
-        return run_of(diagram, case, given)
+        with as_options(_OBSERVED, {r"\bby trace\b": "by --trace"}):
+            return run_of(diagram, case, given)
 
 
 def _concluded(
@@ -282,9 +284,7 @@ class _Progress:
         self.shown.clear()
 
 
-def _report(
-    options: argparse.Namespace, run: Run, results: Results, seconds: float, written: Sequence[str]
-) -> None:
+def _report(options: argparse.Namespace, run: Run, results: Results, seconds: float, written: Sequence[str]) -> None:
     statistics, settings = results.statistics, run.settings
     t = results.span[1] if results.rows else float(settings.start)
     if options.json:

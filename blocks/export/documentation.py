@@ -54,24 +54,35 @@ def index_html(model: Model, drawing: str) -> str:
         parts.append(f"<p>{escape(model.doc)}</p>")
     if drawing:
         parts.append(f"<figure>{drawing}</figure>")
+    if model.inside:
+        parts += ["<h2>FMUs inside</h2>", "<table>", "<tr><th>name</th><th>files</th><th>license</th></tr>"]
+        parts += [f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in model.inside]
+        parts.append("</table>")
     for title, causalities, variabilities in _TABLES:
         variables = [v for v in model.variables if v.causality in causalities and v.variability in variabilities]
         if variables:
             parts += [f"<h2>{title}</h2>", "<table>", *_rows(variables[:MOST]), "</table>"]
         if len(variables) > MOST:
             parts.append(f"<p>and {len(variables) - MOST} more</p>")
-    if model.inside:
-        parts += ["<h2>FMUs inside</h2>", "<table>", "<tr><th>name</th><th>files</th><th>license</th></tr>"]
-        parts += [f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in model.inside]
-        parts.append("</table>")
     return "\n".join([*parts, "</body></html>"]) + "\n"
 
 
 def _rows(variables: list[ExportedVariable]) -> list[str]:
     rows = ["<tr><th>name</th><th>start</th><th>unit</th><th>description</th></tr>"]
     for v in variables:
-        shown = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in v.start[:4])
+        shown = ", ".join(_shown(value, v) for value in v.start[:4])
         shown += ", ..." if len(v.start) > 4 else ""
         cells = f'<td>{escape(v.name)}</td><td>{escape(shown)}</td><td>{escape(v.unit)}</td>'
         rows.append(f"<tr>{cells}<td>{escape(v.doc)}</td></tr>")
     return rows
+
+
+def _shown(value: float | str, variable: ExportedVariable) -> str:
+    """Return a start value as a person reads it."""
+    if isinstance(value, str):
+        return value
+    if variable.type == "bool":
+        return "true" if value else "false"
+    if variable.type == "enum":
+        return variable.members.get(int(value), str(int(value)))
+    return f"{value:g}" if variable.type == "real" else str(int(value))

@@ -107,6 +107,7 @@ def test_a_trace_holds_the_calls_that_the_fmus_write_down(
     assert [row["n"] for row in rows] == [*range(1, len(rows) + 1)]
     assert {row["status"] for row in rows} == {"ok"}
     assert "Instantiate" in rows[0]["call"]
+    assert fmi == 2 or rows[0]["given"]["loggingOn"] is True
     assert rows[-1]["call"] == f"fmi{fmi}FreeInstance"
     same_bits(diagram.run(**words), results)
 
@@ -358,6 +359,9 @@ def test_commands_write_traces_and_print_profiles(
     assert done["profile"][0]["calls"] == len(rows_of(tmp_path / "calls.jsonl"))
     assert main(["run", "loop.json", "--trace", "*", "--trace-file", "loop.json"]) == 2
     assert "is also an input of this command" in capsys.readouterr().err
+    assert main(["run", "loop.json", "--log-categories", "logAll"]) == 2
+    told = capsys.readouterr().err  # the names of the command
+    assert "E501 --log-categories: are of FMUs that are traced, and none is. Choose FMUs by --trace" in told
 
 
 def test_after_an_early_return_an_fmu_is_where_it_came_to(tmp_path: Path) -> None:

@@ -639,7 +639,13 @@ void blocks_trace_making(BlocksTraced *one, const char *function, const char *co
     if (!shim) return;
     one->functions[shim->number] = shim->name;
     blocks_trace_begin(one, shim->number, &one->making);
-    for (int i = 0; i < n; i++) blocks_trace_value(&one->making, given[2 * i], KIND_text, &given[2 * i + 1], 1);
+    for (int i = 0; i < n; i++) {
+        const char *const *value = &given[2 * i + 1];
+        uint8_t is_true = !strcmp(*value, "true");
+        int is_boolean = (is_true || !strcmp(*value, "false")) && strcmp(given[2 * i], "instanceName");
+        blocks_trace_value(&one->making, given[2 * i], is_boolean ? KIND_fmi3Boolean : KIND_text,
+                           is_boolean ? (const void *)&is_true : value, 1);
+    }
     blocks_trace_given(&one->making);
 }
 
