@@ -74,16 +74,17 @@ Name = str | os.PathLike[str]
 
 
 class Archive:
-    """The files of an archive by name, open for reading until it is closed.
+    """The files of an archive by name, open for reading until it is closed. holds: a file that must be in it.
 
     Raises:
         ModelError: E007 where the file cannot be read.
-        FMUError: E202 where it is no archive, or damaged, or holds no modelDescription.xml; E203 where it is not safe
+        FMUError: E202 where it is no archive, or damaged, or lacks that file; E203 where it is not safe
             to unpack; one fault for each thing that is wrong.
     """
 
-    def __init__(self, path: Name) -> None:
+    def __init__(self, path: Name, holds: str = DESCRIPTION) -> None:
         self.path = Path(path)
+        self._holds = holds
         self.place = self.path.name
         self._stream = _opened(self.path)
         try:
@@ -95,7 +96,7 @@ class Archive:
                 {entry.filename: entry.file_size for entry in self._distinct()}
             )
             """Bytes of each file, by its name: "binaries/linux64/x.so"."""
-            if DESCRIPTION not in self.files:
+            if holds not in self.files:
                 raise self._no_description()
         except BaseException:
             self._stream.close()
@@ -200,6 +201,9 @@ class Archive:
         return FMUError(Fault("E202", self.place, message, cure))
 
     def _no_description(self) -> FMUError:
+        if self._holds != DESCRIPTION:
+            message = f"the archive holds no {self._holds}."
+            return FMUError(Fault("E202", self.place, message, "Export the model again."))
         inside = [name for name in self.files if PurePosixPath(name).name == DESCRIPTION]
         if inside:
             message = f"{DESCRIPTION} lies in the folder {PurePosixPath(inside[0]).parent}, not at the top."

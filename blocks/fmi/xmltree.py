@@ -1,6 +1,7 @@
 """XML text -> a tree of elements, with the line of each; no DTD, no entities, bounded.
 
-Text between elements and annotations of tools are left out: nothing that a run needs stands there.
+Text between elements is left out unless it is asked for, and annotations of tools are: FMI keeps nothing there that a
+run needs.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ class _Refused(Exception):
     message: str
 
 
-def parse(text: bytes, file: str) -> Element:
-    """The root element; `file` is the name for messages.
+def parse(text: bytes, file: str, *, with_text: bool = False) -> Element:
+    """The root element; `file` is the name for messages. with_text: the text of an element is its attribute "".
 
     Raises:
         FMUError: E204 where the text is not XML, holds a document type or an entity, or is too large or too deep.
@@ -57,6 +58,11 @@ def parse(text: bytes, file: str) -> Element:
     def end(_: str) -> None:
         stack.pop()
 
+    def data(more: str) -> None:
+        if len(stack) > 1:
+            attributes = stack[-2][-1][1]
+            attributes[""] = attributes.get("", "") + more
+
     def start_skipped(_tag: str, _attributes: dict[str, str]) -> None:
         nonlocal skipped
         skipped += 1
@@ -71,6 +77,9 @@ def parse(text: bytes, file: str) -> Element:
         raise _Refused("the XML declares a document type or an entity, which can read files or expand without limit.")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
+    if with_text:
+        parser.buffer_size, parser.buffer_text = 2**20, True  # a long text in few pieces
+        parser.CharacterDataHandler = data
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = parser.UnparsedEntityDeclHandler = refuse
     parser.ExternalEntityRefHandler = refuse  # type: ignore[assignment]
     try:
