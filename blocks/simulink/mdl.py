@@ -17,11 +17,11 @@ _LETTERS = {"n": "\n", "t": "\t"}
 
 def decoded(text: bytes) -> str:
     """Return the text of a model in the encoding that it names, in UTF-8, or in that of Windows."""
-    named = re.search(rb'^\s*SavedCharacterEncoding\s+"([\w-]+)"', text[:20_000], re.MULTILINE)
+    named = re.search(rb'^[ \t]*SavedCharacterEncoding[ \t]+"([\w-]+)"', text[:20_000], re.MULTILINE)
     for encoding in [*([named[1].decode()] if named else []), "utf-8"]:
         try:
-            return text.decode(encoding).removeprefix("\ufeff")
-        except (LookupError, UnicodeDecodeError):
+            return text.decode(encoding)
+        except (LookupError, UnicodeError):
             continue
     return text.decode("cp1252", "replace")
 
@@ -30,7 +30,6 @@ def node_of(text: str, name: str) -> Node:
     """Return the elements of the file, below one of the kind "". Raises ModelError (E010) where they are malformed."""
     top = Node("")
     stack = [top]
-    last: tuple[Node, str] | None = None  # whose string may go on
     lines = text.split("\n")
     at, left = 0, MOST_ELEMENTS
 
@@ -42,14 +41,10 @@ def node_of(text: str, name: str) -> Node:
         at += 1
         if not line or line.startswith("#"):
             continue
-        if line.startswith('"') and last is not None:
-            node, key = last
-            node.values[key] += _unquoted(line)
-        elif line == "}":
+        if line == "}":
             if len(stack) == 1:
                 raise refused("a closing brace has no opening one.")
             _named(stack.pop())
-            last = None
         elif line.endswith("{") and " " not in (kind := line[:-1].strip()) and kind:
             left -= 1
             if len(stack) > DEEPEST or left < 0:
@@ -57,23 +52,27 @@ def node_of(text: str, name: str) -> Node:
             node = Node(kind, {}, [], "", at)
             stack[-1].children.append(node)
             stack.append(node)
-            last = None
         else:
             key, _, rest = line.replace("\t", " ").partition(" ")
             rest = line[len(key) :].strip()
             if len(stack) == 1:
                 raise refused(f"{line[:60]!r} is no parameter.")
+            pieces = [rest]
             if rest.startswith("["):
-                while "]" not in rest and at < len(lines):
-                    rest = f"{rest} {lines[at].strip()}"
+                while "]" not in pieces[-1] and at < len(lines):
+                    pieces.append(lines[at].strip())
+                    at += 1
+            elif rest.startswith('"'):
+                pieces[0] = _unquoted(rest)
+                while at < len(lines) and (more := lines[at].strip()).startswith('"'):
+                    pieces.append(_unquoted(more))
                     at += 1
             node = stack[-1]
-            value = _unquoted(rest) if rest.startswith('"') else rest
+            value = ("" if rest.startswith('"') else " ").join(pieces)
             if key == "Cell":
                 node.children.append(Node(key, {"": value}, [], "", at))
             else:
                 node.values.setdefault(key, value)
-            last = (node, key) if rest.startswith('"') and key in node.values else None
     if len(stack) > 1:
         raise refused(f"the text ends within {stack[-1].kind} of line {stack[-1].line}.")
     return top

@@ -19,7 +19,7 @@ MARK = b"# MathWorks OPC Text Package"
 MAX_PART = 64 * 2**20  # bytes of one part
 DEEPEST = 60  # systems in systems
 AGAIN = "Save the model again, or take a copy that is whole."
-_PART = re.compile(rb"^__MWOPC_PART_BEGIN__ /(\S+)([^\n]*)\n", re.MULTILINE)
+_PART = re.compile(rb"^__MWOPC_PART_BEGIN__ /(\S+)([^\S\n][^\n]*)?\n", re.MULTILINE)
 _END = re.compile(rb"^__MWOPC_PA(?:RT_BEGIN|CKAGE_END)__", re.MULTILINE)
 
 Read = Callable[[str], bytes]
@@ -40,7 +40,7 @@ def nodes_of_text(text: bytes, name: str) -> dict[str, Node]:
     for begin in _PART.finditer(text):
         end = _END.search(text, begin.end())
         part = text[begin.end() : end.start() if end else len(text)]
-        if b"BASE64" in begin[2]:
+        if b"BASE64" in (begin[2] or b""):
             try:
                 part = base64.b64decode(part)
             except binascii.Error:

@@ -38,8 +38,10 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():  # a pipe would make it wait for a writer
+            raise OSError("it is a folder, a pipe or a device")
         with open(path, "rb") as stream:
-            text = stream.read(MAX_TEXT + 1)
+            text = stream.read(MAX_TEXT + 1).removeprefix(b"\xef\xbb\xbf")
     except (OSError, ValueError) as error:
         what = getattr(error, "strerror", None) or str(error)
         raise ModelError(Fault("E007", str(path), f"the file cannot be read: {what}.", "Check the path.")) from None
@@ -65,7 +67,7 @@ def _check_kind(text: bytes, path: Path) -> None:
         message = "the file is empty."
     elif b"\0" in text[:4096]:
         message = "it is neither a package nor a text."
-    elif not re.search(rb"^\s*(Model|Library|Subsystem)\s*\{", text, re.MULTILINE):
+    elif not re.search(rb"^[ \t]*(Model|Library|Subsystem)[ \t]*\{", text, re.MULTILINE):
         message = "it begins no Model and no Library."
     else:
         return
