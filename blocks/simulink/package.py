@@ -82,7 +82,8 @@ def _node(element: Element, file: str) -> Node:
         name, given, below, _ = child
         text = given.get("", "")
         if name == "P" and "Name" in given:
-            node.values.setdefault(given["Name"], text)
+            # A value that is a part of its own is not read: the name of the part is no value that MATLAB can have.
+            node.values.setdefault(given["Name"], text or given.get("Ref", ""))
             continue
         if text and not below:
             node.values.setdefault(name, text)

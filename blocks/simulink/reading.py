@@ -210,8 +210,8 @@ def _mask(node: Node) -> Mask | None:
         return Mask(mask.values.get("Type", ""), parameters, mask.values.get("Initialization", ""))
     if "MaskVariables" not in values and "MaskType" not in values:
         return None
-    texts = re.split(r"(?<!\\)\|", values.get("MaskValueString", ""))
-    numbered = re.findall(r"(\w+)=[@&](\d+);", values.get("MaskVariables", ""))
+    texts = [text.replace("\\|", "|") for text in re.split(r"(?<!\\)\|", values.get("MaskValueString", ""))]
+    numbered = re.findall(r"\b(\w+)=[@&](\d+);", values.get("MaskVariables", ""))
     parameters = {name: texts[int(k) - 1] for name, k in numbered if 0 < int(k[:5]) <= len(texts)}
     return Mask(values.get("MaskType", ""), parameters, values.get("MaskInitialization", ""))
 
@@ -238,14 +238,17 @@ def _line(node: Node, sids: Mapping[str, str], blocks: Mapping[str, Block]) -> L
         elif not branches:
             open_ends += 1
         left.extend(reversed(branches))
-    name = node.values.get("Name") or node.values.get("Labels", "")
+    name = node.values.get("Name", "")
     return Line(_end(node.values, "Src", sids, blocks), tuple(targets), name, open_ends, node.file, node.line)
 
 
 def _end(values: Mapping[str, str], side: str, sids: Mapping[str, str], blocks: Mapping[str, Block]) -> End | None:
     entry = _ENTRY.fullmatch(values.get(side, ""))
     if entry:
-        name, port = sids.get(entry[1], ""), entry[3] if entry[2] in ("in", "out") else entry[2]
+        kind, number = entry[2], entry[3] or ""
+        name, port = sids.get(entry[1], ""), number if kind in ("in", "out") else kind.lower()
+        if kind in ("lconn", "rconn"):
+            port += number
     else:
-        name, port = values.get(f"{side}Block", ""), values.get(f"{side}Port", "")
+        name, port = values.get(f"{side}Block", ""), values.get(f"{side}Port", "").lower()
     return End(name, port or "1") if name in blocks else None

@@ -35,7 +35,10 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """One end of a line. block: its name in the system. port: "1", "2", ..., "enable", "trigger", "ifaction", ...."""
+    """One end of a line.
+
+    block: its name in the system. port: "1", "2", ..., "enable", "trigger", "ifaction", "lconn1", ....
+    """
 
     block: str
     port: str
