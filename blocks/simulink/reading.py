@@ -26,6 +26,7 @@ CALLBACKS = frozenset({
     "ErrorFcn",
 })  # fmt: skip
 _PORTS = ("in", "out", "enable", "trigger", "state", "lconn", "rconn", "ifaction", "reset")
+_CONFIGURATIONS = ("Simulink.ConfigSet", "Simulink.ConfigSetRef")  # the latter names a variable that holds one
 _MASK = ("MaskParameter", "Simulink.MaskParameter")
 _ENTRY = re.compile(r"(?s)(.*)#(\w+)(?::(\d+))?")
 
@@ -83,18 +84,21 @@ def _model(parts: Mapping[str, Node], path: Path) -> Model:
     nodes = [node for part in (found, *(parts[name] for name in sorted(parts) if name != DIAGRAM)) for node in
              _outside_systems(part)]  # fmt: skip
     name = found.values.get("Name") or path.stem
+    active = _active(nodes, parts)
+    unread = {
+        "the model workspace": found.values.get("WSDataSource") == "MDL-File" and "WSMdlFileData" in found.values,
+        "the settings of the solver": active is not nodes and any(one.kind == _CONFIGURATIONS[1] for one in active),
+    }
     return Model(
         name,
         path,
         found.kind,
-        _settings(found, nodes),
+        _settings(found, active),
         _defaults(nodes),
         _callbacks(found.values),
         _system(systems[0], (), _scripts([top, *parts.values()], name), path.name),
         found.values.get("WSMCode", ""),
-        ("the model workspace",)
-        if found.values.get("WSDataSource") == "MDL-File" and "WSMdlFileData" in found.values
-        else (),
+        tuple(part for part, is_there in unread.items() if is_there),
     )
 
 
@@ -105,6 +109,19 @@ def _outside_systems(node: Node) -> list[Node]:
         found.append(one := left.pop())
         left.extend(reversed([child for child in one.children if child.kind != "System"]))
     return found
+
+
+def _active(nodes: list[Node], parts: Mapping[str, Node]) -> list[Node]:
+    """Return the elements of the active set of settings, or all where none is marked as active."""
+    for node in nodes:
+        if node.kind == "ConfigSet" and node.values.get("Active") == "true":
+            part = parts.get(node.values.get("PartName", "").removeprefix("/"))
+            return nodes if part is None else [*part.walk()]
+        if node.kind in _CONFIGURATIONS and node.values.get("PropName") == "ActiveConfigurationSet":
+            number = node.values.get("ObjectID")
+            same = (one for one in nodes if one.kind == node.kind and one.values.get("ObjectID") == number)
+            return next(([*one.walk()] for one in same if one is not node or one.children), nodes)
+    return nodes
 
 
 def _settings(model: Node, nodes: list[Node]) -> dict[str, str]:
@@ -133,8 +150,10 @@ def _scripts(tops: list[Node], model: str) -> dict[str, str]:
     for top in tops:
         for chart in [node for node in top.walk() if node.kind == "chart"]:
             name = chart.values.get("name", "").removeprefix(f"{model}/")
-            charts[chart.values.get("id", "")] = name
+            if chart.values.get("type") != "EML_CHART":
+                continue  # of states, which may hold functions too
             script = next((node.values["script"] for node in chart.walk() if "script" in node.values), None)
+            charts[chart.values.get("id", "")] = name
             if script is not None:
                 scripts[name] = script
         for node in top.walk():
