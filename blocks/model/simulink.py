@@ -11,6 +11,21 @@ from typing import NamedTuple
 
 from ..text.printable import quoted
 
+TYPES = {
+    "CombinatorialLogic": "Combinatorial Logic", "DataTypeConversion": "Data Type Conversion",
+    "DiscreteFilter": "Discrete Filter", "DiscreteFir": "Discrete FIR Filter",
+    "DiscreteIntegrator": "Discrete-Time Integrator", "DiscretePulseGenerator": "Pulse Generator",
+    "DiscreteStateSpace": "Discrete State-Space", "DiscreteTransferFcn": "Discrete Transfer Fcn",
+    "DiscreteZeroPole": "Discrete Zero-Pole", "EnablePort": "Enable", "HitCross": "Hit Crossing",
+    "Interpolation_n-D": "n-D Lookup Table", "Logic": "Logical Operator", "Lookup_n-D": "n-D Lookup Table",
+    "Lookup2D": "2-D Lookup Table", "M-S-Function": "Level-2 MATLAB S-Function", "Math": "Math Function",
+    "MATLABFcn": "Interpreted MATLAB Function", "RandomNumber": "Random Number", "Rounding": "Math Function",
+    "Saturate": "Saturation", "SecondOrderIntegrator": "Integrator, Second-Order", "Signum": "Sign",
+    "Sin": "Sine Wave", "Stop": "Stop Simulation", "SwitchCase": "Switch Case", "TriggerPort": "Trigger",
+    "Trigonometry": "Trigonometric Function", "UniformRandomNumber": "Uniform Random Number",
+}  # fmt: skip
+"""BlockTypes of files that have another name in the library of Simulink."""
+
 
 class Word(NamedTuple):
     """A term of Simulink. here: its equivalent. blocks: the types among it. see: a place of the documentation."""
@@ -35,7 +50,8 @@ def words() -> Mapping[str, Word]:
 
 
 def word_of(name: str) -> Word | None:
-    """Return the entry of a term in any case and spacing, or None if there is none."""
+    """Return the entry of a term or BlockType in any case and spacing, or None if there is none."""
+    name = next((title for type_, title in TYPES.items() if _plain(type_) == _plain(name)), name)
     return next((word for word in words().values() if _plain(word.name) == _plain(name)), None)
 
 

@@ -1,11 +1,19 @@
-"""Models of Simulink: what their files hold, and the values that they write in MATLAB's expressions.
+"""Models of Simulink: what their files hold, and the values of the MATLAB expressions in them.
 
-model = read_model("plant.slx")
-for block in model.system.walk():
-    print("/".join(block.path), block.type, block.values)
+    model = read_model("plant.slx")
+    values, rest = assignments(model.callbacks.get("InitFcn", ""), {})
+    for block in model.system.walk():
+        print("/".join(block.path), block.type, block.values)
+
+Nothing in a model is run. Diagrams are not made of models yet.
 """
 
+from .matlab import Unread, assignments, evaluate, names_in
+from .matlab_functions import NoValue
 from .reading import read_model
 from .tree import Annotation, Block, End, Line, Mask, Model, System
 
-__all__ = ["Annotation", "Block", "End", "Line", "Mask", "Model", "System", "read_model"]
+__all__ = [
+    "Annotation", "Block", "End", "Line", "Mask", "Model", "NoValue", "System", "Unread", "assignments", "evaluate",
+    "names_in", "read_model",
+]  # fmt: skip

@@ -14,6 +14,7 @@ import pytest
 
 import blocks
 from blocks.api import late
+from blocks.model import simulink
 from blocks.text.explanations import EXPLAINED
 from tests.support.places import ROOT
 
@@ -34,6 +35,8 @@ def test_a_name_that_is_not_there_comes_with_its_equivalent_or_the_nearest_name(
     for name, hint in (
         ("Scope", 'The equivalent of "Scope": No block: every signal can be recorded.'),
         ("TransferFcn", 'The equivalent of "Transfer Fcn": `TransferFunction`'),
+        ("Stop", 'The equivalent of "Stop Simulation": `"stop_when": "lift.height >= 3"`'),
+        ("SecondOrderIntegrator", 'The equivalent of "Integrator, Second-Order": Two `Integrator` blocks'),
         ("TransferFuntion", "Did you mean 'TransferFunction'?"),
     ):
         words = re.escape(f"module 'blocks' has no attribute '{name}'. {hint}")
@@ -42,6 +45,7 @@ def test_a_name_that_is_not_there_comes_with_its_equivalent_or_the_nearest_name(
         with pytest.raises(AttributeError, match=words):
             getattr(blocks, name)
         assert not hasattr(blocks, name)
+    assert set(simulink.TYPES.values()) <= set(simulink.words())
     from blocks import model  # a module, and "Model" is a term of Simulink
 
     assert model.__name__ == "blocks.model"
