@@ -2,8 +2,7 @@
 
     model = read_model("plant.slx")
     values, rest = assignments(model.callbacks.get("InitFcn", ""), {})
-    for block in model.system.walk():
-        print("/".join(block.path), block.type, block.values)
+    gains = [block.values["Gain"] for block in model.system.walk() if block.type == "Gain"]
 
 Nothing in a model is run. Diagrams are not made of models yet.
 """

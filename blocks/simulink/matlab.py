@@ -53,7 +53,7 @@ class _Token:
 
 @dataclass(frozen=True, slots=True)
 class Unread:
-    """Code that is no plain assignment of a value. line: from 1. why: what stands in the way."""
+    """Code that is no plain assignment of a value. line: from 1. why: what prevents it."""
 
     line: int
     text: str
@@ -398,7 +398,7 @@ class _Reader:
         raise NoValue(f"{name} has no value", name)
 
     def _arguments(self, indexed: Array | None) -> list[Any]:
-        """Read what stands between parentheses; None is a colon alone."""
+        """Read what lies between parentheses; None is a colon alone."""
         self._take()
         was, self._in_matrix = self._in_matrix, False
         count = self._count()

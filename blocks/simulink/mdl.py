@@ -30,7 +30,7 @@ def node_of(text: str, name: str) -> Node:
     """Return the elements of the file, below one of the kind "". Raises ModelError (E010) where they are malformed."""
     top = Node("")
     stack = [top]
-    lines = text.split("\n")
+    lines = text.rstrip().split("\n")
     at, left = 0, MOST_ELEMENTS
 
     def refused(message: str) -> ModelError:
