@@ -63,10 +63,7 @@ class Unread:
 def evaluate(text: str, known: Mapping[str, Value]) -> Value:
     """Return the value of an expression. known: variables. Raises NoValue, with the name of an unknown variable."""
     reader = _Reader(_tokens(text), known)
-    value = reader.expression()
-    if reader.next.kind != "end":
-        raise NoValue(f"{reader.next.text!r} is not expected here")
-    return value
+    return reader.whole()
 
 
 def names_in(text: str) -> list[str]:
@@ -112,9 +109,7 @@ def _assign(tokens: Sequence[_Token], values: dict[str, Value]) -> str:
         return "it is no plain assignment"
     try:
         reader = _Reader([*tokens[at + 1 :], _Token("end", "", False, 0)], values)
-        value = reader.expression()
-        if reader.next.kind != "end":
-            raise NoValue(f"{reader.next.text!r} is not expected here")
+        value = reader.whole()
     except NoValue as none:
         values.pop(path[0], None)
         return str(none)
@@ -245,6 +240,15 @@ class _Reader:
     def _expect(self, text: str) -> None:
         if self._take().text != text:
             raise NoValue(f"{text!r} is missing")
+
+    def whole(self) -> Value:
+        """Read one expression up to the end, or to semicolons there."""
+        value = self.expression()
+        while self._is(";"):
+            self._take()
+        if self.next.kind != "end":
+            raise NoValue(f"{self.next.text!r} is not expected here")
+        return value
 
     def expression(self) -> Value:
         """Read one expression."""
