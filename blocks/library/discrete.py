@@ -21,7 +21,8 @@ class DiscreteIntegrator(Block):
 
     form: "forward" (a = 0: period/(z - 1), without feedthrough), "backward" (a = 1: period z/(z - 1)) or "trapezoidal"
     (a = 1/2: period/2 (z + 1)/(z - 1)). y stays within lower ... upper, and does not wind up at a limit. y_start is
-    also y before the first tick.
+    also y before the first tick. With y_start_of="state" it is the sum before the first tick instead, to which that
+    tick adds its part: y[0] = y_start + a period u[0].
     """
 
     form = Parameter("forward", structural=True, choices=("forward", "backward", "trapezoidal"), doc="rule of the sum")
@@ -29,6 +30,12 @@ class DiscreteIntegrator(Block):
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     y_start = Parameter(0.0, unit=unit, doc="y before and at the first tick")
+    y_start_of = Parameter(
+        "output",
+        structural=True,
+        choices=("output", "state"),
+        doc="whether y_start is the first y or the sum before it",
+    )
     lower = Parameter(-UNLIMITED, unit=unit, is_limit=True, doc="smallest y")
     upper = Parameter(UNLIMITED, unit=unit, is_limit=True, doc="largest y")
     u = Input(unit=unit / "s", doc="input")
@@ -48,9 +55,9 @@ class DiscreteIntegrator(Block):
         return y_start
 
     @output(unit=unit, every=period, offset=offset, start=y_start, doc="integral of the input")
-    def y(x, u, begun, period, lower, upper, form):
+    def y(x, u, begun, period, lower, upper, form, y_start_of):
         now = _PRESENT[form] * period * u
-        return np.clip(x + np.where(begun, now, 0.0), lower, upper)
+        return np.clip(x + (np.where(begun, now, 0.0) if y_start_of == "output" else now), lower, upper)
 
     @x.next(every=period, offset=offset)
     def add(y, u, period, form):

@@ -204,6 +204,18 @@ def test_a_discrete_integrator_has_the_transfer_function_of_its_form(form: str) 
     assert y == pytest.approx(signal.lfilter(factor * 0.2 * np.array(num), [1.0, -1.0], u), abs=RECURSION)
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_y_start_of_the_state_is_the_sum_before_the_first_tick(form: str) -> None:
+    """The same as a filter from rest, whatever u[0] is; a constant 1 gives 0, 1, 2 or 1, 2, 3 or 0.5, 1.5, 2.5."""
+    num, factor = {"forward": ([0.0, 1.0], 1.0), "backward": ([1.0, 0.0], 1.0), "trapezoidal": ([1.0, 1.0], 0.5)}[form]
+    u = 1.0 + noise(50)
+    y = filtered(DiscreteIntegrator(form=form, period=0.2, y_start=3.0, y_start_of="state"), u, 0.2)
+    assert y == pytest.approx(3.0 + signal.lfilter(factor * 0.2 * np.array(num), [1.0, -1.0], u), abs=RECURSION)
+    ones = filtered(DiscreteIntegrator(form=form, period=1.0, y_start_of="state"), np.ones(3), 1.0)
+    first = {"forward": 0.0, "backward": 1.0, "trapezoidal": 0.5}[form]
+    assert ones.tolist() == [first, first + 1.0, first + 2.0]
+
+
 @pytest.mark.parametrize(("form", "order"), [("forward", 1), ("backward", 1), ("trapezoidal", 2)])
 def test_a_discrete_integrator_nears_the_integral_with_its_order(form: str, order: int) -> None:
     def error(n: int) -> float:

@@ -76,6 +76,7 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("DiscreteIntegrator", {"period": 0.1}),
     ("DiscreteIntegrator", {"period": 0.1, "form": "backward", "lower": -1.0, "upper": 2.0, "unit": "m"}),
     ("DiscreteIntegrator", {"period": 0.1, "form": "trapezoidal", "upper": 2.0, "offset": 0.05, "y_start": 1.0}),
+    ("DiscreteIntegrator", {"period": 0.1, "form": "backward", "y_start": 1.0, "y_start_of": "state"}),
     ("DiscretePID", {"period": 0.1}),
     ("DiscretePID", {"period": 0.1, "kp": 2.0, "ki": 3.0, "kd": 0.5, "lower": -2.0, "upper": 4.0, "b": 0.6}),
     ("DiscretePID", {"period": 0.1, "kp": -2.0, "kd": 1.0, "Tf": 0.0, "c": 1.0, "unit": "rad/s", "unit_u": "V"}),
