@@ -20,11 +20,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .matlab_functions import FUNCTIONS, MOST, OF_TEXTS, Array, NoValue, divided, matrix, power, product, scalar
+from .matlab_functions import (
+    FUNCTIONS,
+    MOST,
+    OF_TEXTS,
+    Array,
+    NoValue,
+    check_size,
+    divided,
+    matrix,
+    power,
+    powers,
+    product,
+    scalar,
+)
 
 Value = Array | str | dict[str, Any]
 
-LONGEST = 200_000  # characters of one expression or script
+LONGEST = 1_000_000  # characters of one expression or script
+MOST_COMPUTED = 30 * MOST  # elements of all steps of one expression or script
 DEEPEST = 60
 _TOKEN = re.compile(
     r"(?P<space>[ \t\r\f\v\u00a0]+|\.\.\.[^\n]*\n)"
@@ -34,7 +48,6 @@ _TOKEN = re.compile(
     r"|(?P<op>\.\*|\./|\.\\|\.\^|\.'|==|~=|!=|<=|>=|&&|\|\||[-+*/\\^:,;<>&|~!()\[\]{}=.@\n])"
 )
 _TEXT = {"'": re.compile(r"'((?:[^'\n]|'')*)'"), '"': re.compile(r'"((?:[^"\n]|"")*)"')}
-_BLOCK = re.compile(r"^[ \t]*%\{[ \t]*\n.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
 _OPENERS = frozenset({"if", "for", "while", "switch", "try", "parfor", "function", "classdef"})
 _WITHOUT_VALUES = frozenset({"clc", "close", "format", "hold", "figure"})
 _CONSTANTS = {
@@ -62,7 +75,7 @@ class Unread:
 
 def evaluate(text: str, known: Mapping[str, Value]) -> Value:
     """Return the value of an expression. known: variables. Raises NoValue, with the name of an unknown variable."""
-    reader = _Reader(_tokens(text), known)
+    reader = _Reader(_tokens(text), known, [MOST_COMPUTED])
     return reader.whole()
 
 
@@ -83,21 +96,35 @@ def assignments(text: str, known: Mapping[str, Value]) -> tuple[dict[str, Value]
     A variable that other code may have changed has no value afterwards.
     """
     values, rest = dict(known), []
-    text = _BLOCK.sub(lambda found: "\n" * found[0].count("\n"), text[:LONGEST])
+    if len(text) > LONGEST:
+        return {}, [Unread(1, "", f"it has more than {LONGEST:,} characters")]
+    text = _without_blocks(text)
+    left, line, at = [MOST_COMPUTED], 1, 0
     for tokens in _statements(text):
         first, last = tokens[0], tokens[-1]
-        line, code = text.count("\n", 0, first.at) + 1, text[first.at : last.at + len(last.text)].strip()
-        if first.text == "clear":
-            names = [token.text for token in tokens[1:]]
-            values = {} if names in ([], ["all"]) else {key: value for key, value in values.items() if key not in names}
+        line, at = line + text.count("\n", at, first.at), first.at
+        if first.text in ("clear", "clearvars"):
+            names = {token.text.strip("'\"") for token in tokens[1:] if token.text not in "(),;"}
+            is_whole = not names or not all(name.isidentifier() for name in names) or "all" in names
+            values = {} if is_whole else {key: value for key, value in values.items() if key not in names}
         elif first.text not in _WITHOUT_VALUES:
-            why = _assign(tokens, values)
+            why = _assign(tokens, values, left)
             if why:
-                rest.append(Unread(line, " ".join(code.split())[:200], why))
+                rest.append(Unread(line, " ".join(text[at : last.at + len(last.text)].split())[:200], why))
     return values, rest
 
 
-def _assign(tokens: Sequence[_Token], values: dict[str, Value]) -> str:
+def _without_blocks(text: str) -> str:
+    """Return code without comments in %{ and %}, each alone on its line; lines keep their numbers."""
+    lines, depth = [], 0
+    for line in text.split("\n"):
+        mark = line.strip()
+        depth += (mark == "%{") - (mark == "%}" and depth > 0)
+        lines.append("" if depth or mark == "%}" else line)
+    return "\n".join(lines)
+
+
+def _assign(tokens: Sequence[_Token], values: dict[str, Value], left: list[int]) -> str:
     """Carry out one statement; returns why it cannot be, and then forgets what it may have changed."""
     path, at = [tokens[0].text], 1
     while at + 1 < len(tokens) and tokens[at].text == "." and tokens[at + 1].kind == "name":
@@ -108,7 +135,7 @@ def _assign(tokens: Sequence[_Token], values: dict[str, Value]) -> str:
         _forget(tokens, values)
         return "it is no plain assignment"
     try:
-        reader = _Reader([*tokens[at + 1 :], _Token("end", "", False, 0)], values)
+        reader = _Reader([*tokens[at + 1 :], _Token("end", "", False, 0)], values, left)
         value = reader.whole()
     except NoValue as none:
         values.pop(path[0], None)
@@ -145,11 +172,7 @@ def _statements(text: str) -> list[list[_Token]]:
     found: list[list[_Token]] = []
     now: list[_Token] = []
     depth = within = 0
-    try:
-        tokens = _tokens(text, is_code=True)
-    except NoValue as none:
-        tokens = none.tokens
-    for token in tokens:
+    for token in _tokens(text, is_code=True):
         if not within and token.kind == "name":
             is_first = not now or now[-1].text in ("\n", ";", ",")
             if token.text in _OPENERS and is_first:
@@ -157,6 +180,8 @@ def _statements(text: str) -> list[list[_Token]]:
             elif token.text == "end" and depth and is_first:
                 depth -= 1
         within += (token.text in "([{") - (token.text in ")]}") if token.kind == "op" else 0
+        if token.kind == "bad":
+            within = 0
         if token.kind == "end" or (token.text in ("\n", ";", ",") and token.kind == "op" and within <= 0 and not depth):
             if now:
                 found.append(now)
@@ -167,28 +192,39 @@ def _statements(text: str) -> list[list[_Token]]:
 
 
 def _tokens(text: str, *, is_code: bool = False) -> list[_Token]:
-    """Return the words of an expression, or of code, and a last one of the kind "end". Raises NoValue."""
+    """Return the words of an expression, or of code, and a last one of the kind "end".
+
+    Raises NoValue; in code what cannot be read is a word of the kind "bad", up to the end of its line.
+    """
     if len(text) > LONGEST:
         raise NoValue(f"it has more than {LONGEST:,} characters")
     found: list[_Token] = []
     brackets: list[str] = []
     at, space = 0, False
+
+    def bad(why: str) -> int:
+        if not is_code:
+            raise NoValue(why)
+        end = text.find("\n", at)
+        end = len(text) if end < 0 else end
+        found.append(_Token("bad", text[at:end], space, at))
+        brackets.clear()
+        return end
+
     while at < len(text):
         char = text[at]
         if char in "'\"" and not (char == "'" and _is_transpose(found, brackets, space)):
             if not (word := _TEXT[char].match(text, at)):
-                none = NoValue("a text has no closing quote")
-                none.tokens = [*found, _Token("end", "", False, at)]
-                raise none
+                at, space = bad("a text has no closing quote"), False
+                continue
             found.append(_Token("text", word[0], space, at))
         elif char == "'":
             found.append(_Token("op", "'", space, at))
             at, space = at + 1, False
             continue
         elif not (word := _TOKEN.match(text, at)):
-            none = NoValue(f"{char!r} is not expected here")
-            none.tokens = [*found, _Token("end", "", False, at)]
-            raise none
+            at, space = bad(f"{char!r} is not expected here"), False
+            continue
         elif word.lastgroup in ("space", "comment") or (word[0] == "\n" and not is_code and "[" not in brackets):
             space, at = True, word.end()
             continue
@@ -212,8 +248,9 @@ def _is_transpose(found: Sequence[_Token], brackets: Sequence[str], space: bool)
 class _Reader:
     """Reads and evaluates one expression, by the precedence of MATLAB's operators."""
 
-    def __init__(self, tokens: Sequence[_Token], known: Mapping[str, Value]) -> None:
+    def __init__(self, tokens: Sequence[_Token], known: Mapping[str, Value], left: list[int]) -> None:
         self._tokens, self._known = tokens, known
+        self._left = left  # how many elements may yet be computed
         self._at = self._depth = 0
         self._in_matrix = False
         self._ends: list[tuple[Array, int, int]] = []  # what is indexed, at which index, of how many
@@ -282,7 +319,7 @@ class _Reader:
             operator = self._LEVELS[k][self._take().text]
             left = _number(value)
             right = _number(self._level(k + 1))
-            value = _checked(operator, *((left, right) if k < 5 else (left + 0.0, right + 0.0)))
+            value = self._computed(operator, *((left, right) if k < 5 else (left + 0.0, right + 0.0)))
         return value
 
     def _range(self, k: int) -> Value:
@@ -317,7 +354,7 @@ class _Reader:
             while self._is("+", "-"):
                 signs *= -1.0 if self._take().text == "-" else 1.0
             exponent = signs * _number(self._postfix())
-            value = _checked(lambda a, b: power(a, b, is_elementwise=is_elementwise), _number(value) + 0.0, exponent)  # noqa: B023
+            value = self._computed(powers if is_elementwise else power, _number(value) + 0.0, exponent)
         return value
 
     def _postfix(self) -> Value:
@@ -373,7 +410,8 @@ class _Reader:
                 rows[-1].append(self.expression())
         self._take()
         self._in_matrix = was
-        return matrix([row for row in rows if row])
+        value = matrix([row for row in rows if row])
+        return value if isinstance(value, str) else self._computed(lambda: value)
 
     def _named(self, name: str) -> Any:
         if name == "end" and self._ends:
@@ -390,16 +428,36 @@ class _Reader:
         if value is not None:
             return self._indexed(_number(value)) if is_call else value
         if name in ("true", "false"):
-            ones = _checked(FUNCTIONS["ones"], *(self._arguments(None) if is_call else []))
+            ones = self._computed(FUNCTIONS["ones"], *(self._arguments(None) if is_call else []))
             return ones == (1 if name == "true" else 0)
         if name in _CONSTANTS and not is_call:
             return scalar(float(_CONSTANTS[name]))
         if name in FUNCTIONS:
             given = self._arguments(None) if is_call else []
-            return _checked(FUNCTIONS[name], *(given if name in OF_TEXTS else map(_number, given)))
+            return self._computed(FUNCTIONS[name], *(given if name in OF_TEXTS else map(_number, given)))
         if name in ("i", "j"):
             raise NoValue("complex numbers are not supported", name)
         raise NoValue(f"{name} has no value", name)
+
+    def _computed(self, function: Callable[..., Any], *given: Any) -> Array:
+        """Call a function with matrices; what NumPy refuses is no value."""
+        shapes = [one.shape for one in given if isinstance(one, np.ndarray)]
+        if len(shapes) > 1 and function not in (product, divided):
+            check_size(max(rows for rows, _ in shapes), max(columns for _, columns in shapes))
+        try:
+            with np.errstate(all="ignore"):
+                value = np.atleast_2d(np.asarray(function(*given)))
+        except (ValueError, TypeError, IndexError, np.linalg.LinAlgError, OverflowError) as error:
+            raise NoValue(f"it cannot be computed: {str(error)[:100]}") from None
+        if value.ndim != 2:
+            raise NoValue("arrays of three dimensions are not supported")
+        check_size(*value.shape)
+        self._left[0] -= value.size + sum(rows * columns for rows, columns in shapes)
+        if self._left[0] < 0:
+            raise NoValue(f"more than {MOST_COMPUTED:,} elements are computed")
+        if np.iscomplexobj(value):
+            raise NoValue("complex numbers are not supported")
+        return value if value.dtype == bool else value.astype(float)
 
     def _arguments(self, indexed: Array | None) -> list[Any]:
         """Read what lies between parentheses; None is a colon alone."""
@@ -447,6 +505,7 @@ class _Reader:
                 np.arange(n) if one is None else _places(_number(one), n)
                 for one, n in zip(given, value.shape, strict=True)
             )
+            check_size(rows.size, columns.size)
             return np.asarray(value[np.ix_(rows, columns)])
         raise NoValue("arrays of three dimensions are not supported" if given else "an index is missing")
 
@@ -457,8 +516,7 @@ def _colon(first: float, step: float, last: float) -> Array:
         raise NoValue("a range needs finite numbers")
     if not step or (last - first) * step < 0:
         return np.zeros((1, 0))
-    if (last - first) / step > MOST:
-        raise NoValue(f"it has more than {MOST:,} elements")
+    check_size(1, (last - first) / step)
     near, n = 2 * np.finfo(float).eps * max(abs(first), abs(last)), round((last - first) / step)
     if np.sign(step) * (first + n * step - last) > near:
         n -= 1
@@ -504,17 +562,3 @@ def _number(value: Value) -> Array:
     if isinstance(value, np.ndarray):
         return value
     raise NoValue("a text is used as a number" if isinstance(value, str) else "a structure is used as a number")
-
-
-def _checked(function: Callable[..., Any], *given: Any) -> Array:
-    """Call a function with matrices; what NumPy refuses is no value."""
-    try:
-        with np.errstate(all="ignore"):
-            value = np.atleast_2d(np.asarray(function(*given)))
-    except (ValueError, TypeError, IndexError, np.linalg.LinAlgError, OverflowError) as error:
-        raise NoValue(f"it cannot be computed: {str(error)[:100]}") from None
-    if value.ndim != 2 or value.size > MOST:
-        raise NoValue("it has more than two dimensions, or too many elements")
-    if np.iscomplexobj(value):
-        raise NoValue("complex numbers are not supported")
-    return value if value.dtype == bool else value.astype(float)

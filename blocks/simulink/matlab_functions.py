@@ -13,12 +13,17 @@ MOST = 1_000_000  # elements of a value
 
 
 class NoValue(Exception):
-    """An expression has no value here. name: the variable that is not known, or ""; tokens: what was read of code."""
+    """An expression has no value here. name: the variable that is not known, or ""."""
 
     def __init__(self, message: str, name: str = "") -> None:
         super().__init__(message)
         self.name = name
-        self.tokens: list[Any] = []
+
+
+def check_size(rows: float, columns: float) -> None:
+    """Raise NoValue for a matrix that is too large."""
+    if rows * columns > MOST:
+        raise NoValue(f"it has more than {MOST:,} elements")
 
 
 def scalar(value: float | bool) -> Array:
@@ -33,37 +38,53 @@ def matrix(rows: Sequence[Sequence[Any]]) -> Array | str:
         return "".join(cells)
     if not all(isinstance(cell, np.ndarray) for cell in cells):
         raise NoValue("a matrix of texts or structures is not supported")
+    check_size(1, sum(cell.size for cell in cells))
     kept = [[cell for cell in row if cell.size] for row in rows]
     try:
         blocks = [np.hstack(row) for row in kept if row]
         value = np.vstack(blocks) if blocks else np.zeros((0, 0))
     except ValueError:
         raise NoValue("rows or columns of a matrix differ in length") from None
-    if value.size > MOST:
-        raise NoValue(f"it has more than {MOST:,} elements")
     return value
 
 
 def product(a: Array, b: Array) -> Array:
-    """Return a*b."""
-    return a * b if 1 in (a.size, b.size) else a @ b
+    """Return a*b. Raises NoValue."""
+    if 1 in (a.size, b.size):
+        return a * b
+    check_size(a.shape[0], b.shape[1])
+    _check_work(a.shape[0] * a.shape[1] * b.shape[1])
+    return a @ b
+
+
+def _check_work(operations: float) -> None:
+    """Raise NoValue for what would take longer than an instant."""
+    if operations > 1e9:
+        raise NoValue("it takes too long to compute")
 
 
 def divided(a: Array, b: Array) -> Array:
     """Return a/b; for matrices x of x*b = a. Raises NoValue."""
     if b.size == 1:
         return a / b
+    _check_work(float(max(*a.shape, *b.shape)) ** 2 * min(b.shape))
     if b.shape[0] != b.shape[1]:
         return np.asarray(np.linalg.lstsq(b.T, a.T, rcond=None)[0].T)
     return np.asarray(np.linalg.solve(b.T, a.T).T)
 
 
-def power(a: Array, b: Array, *, is_elementwise: bool) -> Array:
-    """Return a^b or a.^b. Raises NoValue where it is complex or a root of a matrix."""
-    if not is_elementwise and (a.size, b.size) != (1, 1):
-        if b.size != 1 or b[0, 0] != np.floor(b[0, 0]) or abs(b[0, 0]) > 1000:
-            raise NoValue("this power of a matrix is not supported")
-        return np.asarray(np.linalg.matrix_power(a, int(b[0, 0])))
+def power(a: Array, b: Array) -> Array:
+    """Return a^b. Raises NoValue where it is complex or a root of a matrix."""
+    if (a.size, b.size) == (1, 1):
+        return powers(a, b)
+    if b.size != 1 or b[0, 0] != np.floor(b[0, 0]) or abs(b[0, 0]) > 1000:
+        raise NoValue("this power of a matrix is not supported")
+    _check_work(20.0 * max(a.shape) ** 3)
+    return np.asarray(np.linalg.matrix_power(a, int(b[0, 0])))
+
+
+def powers(a: Array, b: Array) -> Array:
+    """Return a.^b. Raises NoValue where it is complex."""
     return _real(np.power(a, b), a, b)
 
 
@@ -168,11 +189,25 @@ def _length(x: Array | str) -> Array:
     return scalar(extent.max() if extent.all() else 0)
 
 
+def _of_matrix(function: Callable[[Array], Any]) -> Callable[[Array], Array]:
+    def computed(x: Array) -> Array:
+        _check_work(10.0 * max(x.shape) ** 3 if 1 not in x.shape else x.size)
+        return np.asarray(function(x))
+
+    return computed
+
+
+def _kron(a: Array, b: Array) -> Array:
+    check_size(a.size, b.size)
+    return np.kron(a, b)
+
+
 def _norm(x: Array) -> Array:
     return scalar(float(np.linalg.norm(x, 2 if 1 not in x.shape else None)))
 
 
 def _convolved(a: Array, b: Array) -> Array:
+    _check_work(a.size * b.size)
     flat = np.convolve(a.reshape(-1), b.reshape(-1))
     return flat[None, :] if 1 in (a.shape[0], b.shape[0]) else flat[:, None]
 
@@ -181,13 +216,13 @@ OF_TEXTS = frozenset({"size", "numel", "length", "isempty", "zeros", "ones", "ey
 """Functions that may be given a text: its extent, or the type of what they return."""
 
 _BY_ELEMENT = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "floor", "ceil", "sign")
-_AS_IN_NUMPY = ("hypot", "deg2rad", "rad2deg", "kron", "isnan", "isinf", "isfinite", "fliplr", "flipud", "transpose")
+_AS_IN_NUMPY = ("hypot", "deg2rad", "rad2deg", "isnan", "isinf", "isfinite", "fliplr", "flipud", "transpose")
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     **{name: getattr(np, name) for name in (*_BY_ELEMENT, *_AS_IN_NUMPY)},
     **{name: _root(getattr(np, name)) for name in ("sqrt", "log", "log10", "log2")},
     "asin": _root(np.arcsin), "acos": _root(np.arccos), "atan": np.arctan, "atan2": np.arctan2, "asinh": np.arcsinh,
     "abs": lambda x: np.abs(x + 0.0), "fix": np.trunc, "round": _round, "mod": _mod, "rem": _rem,
-    "power": lambda a, b: power(a, b, is_elementwise=True), "times": np.multiply, "plus": np.add, "minus": np.subtract,
+    "power": powers, "times": np.multiply, "plus": np.add, "minus": np.subtract,
     "sum": _along(np.sum), "prod": _along(np.prod), "mean": _along(_mean), "any": _along(np.any),
     "all": _along(np.all), "max": _extreme("max"), "min": _extreme("min"),
     "cumsum": _accumulated(np.cumsum), "cumprod": _accumulated(np.cumprod),
@@ -197,7 +232,7 @@ FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "diag": _diagonal, "repmat": _repeated, "reshape": _reshaped, "conv": _convolved,
     "size": _extent, "numel": lambda x: scalar(_extent(x).prod()), "length": _length,
     "isempty": lambda x: np.array([[not _extent(x).all()]]),
-    "norm": _norm, "inv": np.linalg.inv, "det": lambda x: scalar(float(np.linalg.det(x))),
+    "norm": _of_matrix(_norm), "inv": _of_matrix(np.linalg.inv), "det": _of_matrix(np.linalg.det), "kron": _kron,
     "double": lambda x: x + 0.0, "single": lambda x: x.astype(np.float32), "logical": lambda x: x != 0,
     "boolean": lambda x: x != 0, "not": lambda x: x == 0,
     **{f"int{n}": _whole(-(2.0 ** (n - 1)), 2.0 ** (n - 1) - 1) for n in (8, 16, 32)},

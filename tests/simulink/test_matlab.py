@@ -178,7 +178,7 @@ def test_a_range_is_symmetric_and_meets_its_end() -> None:
         ("2^[1 2]", "power of a matrix", ""),
         ("(" * 100 + "1" + ")" * 100, "more than 60 deep", ""),
         ("-" * 100 + "1", "more than 60 deep", ""),
-        ("1" * 300_000, "more than 200,000 characters", ""),
+        ("1" * 1_000_001, "more than 1,000,000 characters", ""),
     ],
 )
 def test_what_has_no_value_says_why(text: str, why: str, name: str) -> None:
@@ -237,10 +237,44 @@ def test_a_variable_that_may_have_changed_has_no_value(code: str) -> None:
     assert "a" not in assignments(code, {})[0]
 
 
-def test_code_that_ends_badly_is_read_up_to_there() -> None:
-    found, rest = assignments("a = 1;\nb = 'open\nc = 2;", {})
-    assert set(found) == {"a"}
-    assert rest
+def test_a_line_that_cannot_be_read_is_left_out() -> None:
+    found, rest = assignments("a = 1;\nb = 'open\nc = 2;\na = 3 # 4\nd = [1 2\n#\n", {"b": scalar(1.0)})
+    assert found == {"c": scalar(2.0)}
+    assert [one.line for one in rest] == [2, 4, 5]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "ones(1e6, 1) + ones(1, 1e6)", "ones(1e6, 1)*ones(1, 1e6)", "kron(ones(1e3), ones(1e3))",
+        "max(ones(1e6, 1), ones(1, 1e6))",
+        "conv(ones(1, 1e6), ones(1, 1e6))", "inv(ones(1000))", "ones(1000)^3", "ones(1000)/ones(1000)",
+        "repmat(1, 1e5, 1e5)",
+        "diag(ones(1e5, 1))", "linspace(0, 1, 1e12)", "mod(ones(1e6, 1), ones(1, 1e6))",
+        "[" + "ones(1000) " * 1000 + "]", "+".join(["ones(1000)"] * 1000), "zeros(1e400)", "1:1e300", "eye(1e9)(1)",
+        "reshape(ones(1000), 1e9, 1)", "int8(" * 50 + "ones(1000)" + ")" * 50,
+    ],
+)  # fmt: skip
+def test_what_would_fill_the_memory_has_no_value_at_once(text: str) -> None:
+    with pytest.raises(NoValue):
+        evaluate(text, {})
+    x = "x(ones(1e6, 1), ones(1e6, 1))"
+    with pytest.raises(NoValue, match="more than 1,000,000 elements"):
+        evaluate(x, {"x": scalar(1.0)})
+
+
+def test_scripts_of_any_size_are_read_at_once() -> None:
+    for text in (
+        "%{\n" * 100_000,
+        "a = 1;\n" * 60_000,
+        "[" * 300_000,
+        "'" * 99_999,
+        "if 1\n" * 50_000,
+        "x = [1 ...\n" * 20_000,
+    ):
+        assignments(text, {})
+    _, rest = assignments("x = ones(1000);\n" * 1000, {})
+    assert "elements are computed" in rest[-1].why
 
 
 def test_assignments_leave_what_was_given() -> None:
