@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 
 from ..text.errors import Fault, ModelError
-from .package import AGAIN
+from .package import AGAIN, MOST_ELEMENTS
 from .tree import Node
 
 DEEPEST = 60
-MOST_ELEMENTS = 2_000_000
 _ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 _STRING = re.compile(r'"((?:[^"\\]|\\.)*)"')
 _LETTERS = {"n": "\n", "t": "\t"}

@@ -17,6 +17,8 @@ from .tree import Node
 DIAGRAM = "simulink/blockdiagram.xml"
 MARK = b"# MathWorks OPC Text Package"
 MAX_PART = 64 * 2**20  # bytes of one part
+MAX_PARTS = 2 * MAX_PART  # bytes of all parts that are read
+MOST_ELEMENTS = 2_000_000  # of all of them
 DEEPEST = 60  # systems in systems
 AGAIN = "Save the model again, or take a copy that is whole."
 _PART = re.compile(rb"^__MWOPC_PART_BEGIN__ /(\S+)([^\S\n][^\n]*)?\n", re.MULTILINE)
@@ -59,8 +61,17 @@ def unreadable(error: FMUError) -> ModelError:
 def _nodes(names: Iterable[str], read: Read, name: str) -> dict[str, Node]:
     known = sorted(set(names))
     wanted = [part for part in known if part.startswith("simulink/") and part.endswith(".xml") and _is_model(part)]
+    nodes: dict[str, Node] = {}
+    room, left = MAX_PARTS, MOST_ELEMENTS
     try:
-        nodes = {part: _node(parse(read(part), f"{name}/{part}", with_text=True), part) for part in wanted}
+        for part in wanted:
+            text = read(part)
+            room -= len(text)
+            nodes[part] = _node(parse(text, f"{name}/{part}", with_text=True), part)
+            left -= sum(1 for _ in nodes[part].walk())
+            if room < 0 or left < 0:
+                message = f"its parts have more than {MAX_PARTS:,} bytes or {MOST_ELEMENTS:,} elements together."
+                raise ModelError(Fault("E010", name, message, "Import a part of the model."))
     except FMUError as error:
         raise unreadable(error) from None
     _join(nodes[DIAGRAM], nodes, 0)
