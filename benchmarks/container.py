@@ -27,7 +27,7 @@ GOAL = 1.2
 
 
 def _stepper(path: Path, fmi: int) -> Callable[[], float]:
-    """What measures the steps of a container: all in one, from the start of a new instance."""
+    """Return a function that measures all steps of a new instance of a container together."""
     description = fmpy.read_model_description(str(path), validate=False)
     folder = fmpy.extract(str(path))
     kind = fmi2.FMU2Slave if fmi == 2 else fmi3.FMU3Slave

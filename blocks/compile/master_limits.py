@@ -10,7 +10,7 @@ CONVERGED = 1e-10
 """An iterated step ends at this change of all that is exchanged, relative to its size; or at one that the solvers of
 units, by the largest of their tolerances, do not resolve."""
 MOST_LEARNT = 300
-"""An iterated step learns how up to so many exchanged elements depend on each other."""
+"""The most exchanged elements whose dependence on each other an iterated step learns."""
 DEEPEST = 3
 """A step is iterated until so many instants inside it have cut it short."""
 NEAR = 4096

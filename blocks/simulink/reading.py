@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from ..host.plain_files import opened
 from ..text.errors import Fault, ModelError
 from .mdl import decoded, node_of
 from .package import AGAIN, DIAGRAM, MARK, nodes_of_archive, nodes_of_text
@@ -39,9 +40,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     """
     path = Path(path)
     try:
-        if path.exists() and not path.is_file():  # a pipe would make it wait for a writer
-            raise OSError("it is a folder, a pipe or a device")
-        with open(path, "rb") as stream:
+        with opened(path) as stream:
             text = stream.read(MAX_TEXT + 1).removeprefix(b"\xef\xbb\xbf")
     except (OSError, ValueError) as error:
         what = getattr(error, "strerror", None) or str(error)

@@ -27,10 +27,10 @@ VariableRow = tuple[int, int, int, int, int]
 
 
 class ForeignTables:
-    """What C reads of one FMU. place: of each state of the Plan, its place in C.
+    """The tables of one FMU, as C reads them. place: where each state of the Plan lies in C.
 
     sizes: fields of a BlocksForeign. used: the variables that are set or read. room: of its scratch. tuned: where
-    tunable parameters stand among inputs.
+    tunable parameters lie among inputs.
     """
 
     def __init__(self, plan: Plan, part: ForeignPart, place: Array) -> None:

@@ -52,7 +52,7 @@ class ReferenceMaster(CoupledRun):
     def _clear(self) -> None:
         super()._clear()
         self.control = StepControl()
-        self.fresh = 0  # so many steps since something jumped
+        self.fresh = 0  # steps since something jumped
         self.set_aside: dict[int, Point] = {}  # past points that closer ones have replaced, by element
         self.waiting: dict[int, list[Course]] = {}  # courses of units that cannot stop where their inputs jumped
         self.growths: dict[int, Growth] = {}  # of the elements that are watched

@@ -107,7 +107,7 @@ class CoreUnit(Running):
         self.can_save = not (self.plan.steppers or self.plan.foreign)
         self.engine.sim.keeps_past = 1
         self.taken: ctypes.CDLL | None = None  # the library whose functions the master calls
-        self.raised: BaseException | None = None  # as it should have come to stand at its start
+        self.raised: BaseException | None = None  # by the start of a native unit
 
     def start(self, t: float, stop: float | None) -> None:
         pass  # C begins it
@@ -287,7 +287,7 @@ class NativeMaster(CoupledRun):
         self._watch()
 
     def _watch(self) -> None:
-        """What may grow without bound."""
+        """Name to the master in C the elements that may grow without bound."""
         m = self._c
         watched = [
             {"size": abs(self.y[g]), "element": g, "circle": circle}

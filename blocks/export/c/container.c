@@ -69,7 +69,7 @@ static void unload_foreigns(Island *island)
     }
 }
 
-/* New instances of the FMUs for Model Exchange of an island, in initialization mode: 1 where one fails, and it was told. */
+/* New instances of the FMUs for Model Exchange of an island, in initialization mode. Returns 1, after a message, where one fails. */
 static int begin_foreigns(Island *island)
 {
     Fmu *f = island->owner;
@@ -103,7 +103,7 @@ static int begin_foreigns(Island *island)
     return 0;
 }
 
-/* A run of equations stands at its start, with the inputs in its row; called by the master. */
+/* Start a run of equations with the inputs in its row; the master calls it. */
 static int stand(void *component)
 {
     BlocksSim *s = component;
@@ -223,7 +223,7 @@ Fmu *fmu_new(int kind, const char *name, const char *token, const char *resource
             f->track = (BlocksTrack){&f->always, f->input, 1, (int32_t)nu, 0};
             if (!open_islands(f)) {
                 why = NULL;
-                if (fmu_reset(f)) { /* it was told why */
+                if (fmu_reset(f)) { /* after a message that says why */
                     fmu_free(f);
                     return NULL;
                 }
@@ -386,7 +386,7 @@ static int failed(Fmu *f)
     }
 }
 
-/* FMU_WARNING where calls of FMUs inside gave a warning since it was looked last, and it was told. */
+/* Return FMU_WARNING, after a message, where FMUs inside gave a warning since the last look. */
 static int warned(Fmu *f)
 {
     int any = FMU_OK;

@@ -27,6 +27,17 @@ enum { TEXTS = NUMBERS - 1 };
 #define CALL_NUMBER(name, ...) CALL_##name,
 enum { CALLS_BEFORE = FIRST_FUNCTION - 1, OTHERS(CALL_NUMBER) CALLS(CALL_NUMBER) CALLS_END };
 
+/* The arguments of an entry as parameters of a function, behind the instance. */
+#define PARAMETER_NUMBER(k, type, name) , type name
+#define PARAMETER_REAL(k, name) , double name
+#define PARAMETER_IN(k, type, name, count) , const type name[]
+#define PARAMETER_OUT(k, type, name, count) , type name[]
+#define PARAMETER_TEXTS_IN(k, what, name, count) , const char *const name[]
+#define PARAMETER_TEXTS_OUT(k, what, name, count) , const char *name[]
+#define PARAMETER_STATE(k, name) , void *name
+#define PARAMETER_STATE_INOUT(k, name) , void **name
+#define PARAMETER_NONE
+
 #define TEXT_OF(token) #token
 #define TEXT(token) TEXT_OF(token)
 #define FULL_NAME(name) TEXT(FMI(name))

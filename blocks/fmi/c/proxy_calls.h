@@ -15,16 +15,6 @@ typedef FMI(Status) Status;
     proxy_call((p), &(Request){.function = CALL_##called, .name = FULL_NAME(called), __VA_ARGS__}, (arrays), \
                COUNT(arrays))
 
-#define PARAMETER_NUMBER(k, type, name) , type name
-#define PARAMETER_REAL(k, name) , double name
-#define PARAMETER_IN(k, type, name, count) , const type name[]
-#define PARAMETER_OUT(k, type, name, count) , type name[]
-#define PARAMETER_TEXTS_IN(k, what, name, count) , const char *const name[]
-#define PARAMETER_TEXTS_OUT(k, what, name, count) , const char *name[]
-#define PARAMETER_STATE(k, name) , void *name
-#define PARAMETER_STATE_INOUT(k, name) , void **name
-#define PARAMETER_NONE
-
 #define PUT_NUMBER(k, type, name) request.n[k] = (uint64_t)(int64_t)name;
 #define PUT_REAL(k, name) request.x[k] = name;
 #define PUT_ARRAY(k, from, to, size) arrays[(count = (k) + 1) - 1] = (Array){(from), (to), (size)};

@@ -6,16 +6,6 @@
 
 typedef FMI(Status) Status;
 
-#define PARAMETER_NUMBER(k, type, name) , type name
-#define PARAMETER_REAL(k, name) , double name
-#define PARAMETER_IN(k, type, name, count) , const type name[]
-#define PARAMETER_OUT(k, type, name, count) , type name[]
-#define PARAMETER_TEXTS_IN(k, what, name, count) , const char *const name[]
-#define PARAMETER_TEXTS_OUT(k, what, name, count) , const char *name[]
-#define PARAMETER_STATE(k, name) , void *name
-#define PARAMETER_STATE_INOUT(k, name) , void **name
-#define PARAMETER_NONE
-
 #define PASS_NUMBER(k, type, name) , name
 #define PASS_REAL(k, name) , name
 #define PASS_IN(k, type, name, count) , name

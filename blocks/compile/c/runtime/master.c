@@ -270,7 +270,7 @@ static void native_inputs(MasterUnit *u, int has_slopes)
     s->has_first = s->has_before = 0;
 }
 
-/* A native unit stands at its start, with its inputs as they are. */
+/* Start a native unit with its present inputs. */
 static int begin_native(Master *m, MasterUnit *u)
 {
     if (u->ninputs) memcpy(u->track, u->inputs, (size_t)u->ninputs * sizeof(double));

@@ -29,7 +29,7 @@ enum {
     MASTER_MEMORY,
     MASTER_TOO_EARLY,   /* an FMU stopped before its step's end and was not allowed to */
     MASTER_PENDING,     /* a step of FMI 2 that did not get done for `patience` s */
-    MASTER_NOT_BEGUN    /* a native unit did not come to stand at its start */
+    MASTER_NOT_BEGUN    /* a native unit could not be started */
 };
 
 /* Functions of a unit, by their names: those of FMI, then those of the runtime for native units. */
@@ -64,7 +64,7 @@ typedef struct {
     int32_t kind, way, ninputs, noutputs, nsets, ngets, nfed, has_feed, has_instants, acts, can_save, has_moving, is_unsure;
     /* acts: something may happen in it at an instant; has_instants: of itself, or because of a jump of what it takes */
     void *component;                  /* of an FMU, or a BlocksSim */
-    int (*stand)(void *component);    /* native: it stands at its start, with the inputs in `track` */
+    int (*stand)(void *component);    /* native: start it with the inputs in `track` */
     void *calls[CALL_COUNT];
     const MasterLink *links;          /* (ninputs) */
     const uint8_t *moves;             /* (ninputs) whether it is extrapolated */
