@@ -477,7 +477,7 @@ class Instance:
                 return StepResult(None, event.value, terminate.value, False, True)
             if early.value and not is_discarded and not (self.early_return or terminate.value):
                 raise self.broken("fmi3DoStep", f"ended early, at {last:.10g} s, although early return was not allowed")
-        else:
+        elif not (terminate.value and t <= last <= t + h):  # where it ended the run, it names the time
             last = t + h
         if event.value and not self.event_mode:
             raw.warn(f"fmi3DoStep of {self.place} requested event mode{raw.when}, which this run does not use.")

@@ -5,6 +5,7 @@ import math
 import re
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -322,6 +323,28 @@ def test_an_exported_fmu_asks_for_the_end(fmi, tmp_path):
         results = d.run(stop=5, trust=tmp_path, master={"step": 0.1}, every=0.1)
         assert results.t[-1] == pytest.approx(FALL, abs=8 * math.ulp(FALL))
         assert [fault.code for fault in results.warnings] == ["W206"]
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("isolate", [False, True])
+def test_an_fmu_without_early_return_ends_the_run_at_the_time_that_it_names(isolate, engine, tmp_path):
+    falling().export(tmp_path / "fall.fmu")
+    whole = Diagram("whole")
+    whole.output("h", whole.add("body", fmu(tmp_path / "fall.fmu", kind="CS")).h)
+    case = {"stop": 5, "master": {"step": 0.03}, "trust": tmp_path}
+    own = whole.run(**case, stop_when="t >= 1.17")
+    whole.export(tmp_path / "whole.fmu", **case, stop_when="t >= 1.17")
+    with zipfile.ZipFile(tmp_path / "whole.fmu") as archive:
+        assert b"hasEventMode" not in archive.read("modelDescription.xml")
+    d = Diagram("d")
+    d.add("inner", fmu(tmp_path / "whole.fmu", isolate=isolate))
+    results = d.run(stop=5, master={"step": 0.1}, engine=engine, trust=tmp_path)
+    assert own.t[-1] == pytest.approx(1.17, abs=1e-12)  # a point of the inner step, none of the outer
+    assert results.t[-1] == own.t[-1]
+    assert results["inner.h"][-1] == pytest.approx(HEIGHT - G * own.t[-1] ** 2 / 2, abs=1e-9)
+    rows = simulate_fmu(str(tmp_path / "whole.fmu"), stop_time=5, output_interval=0.1)
+    assert (rows["time"][-1], rows["h"][-1]) == pytest.approx((1.2, HEIGHT - G * 1.17**2 / 2))  # FMPy asks no time
 
 
 @NEEDS_COMPILER

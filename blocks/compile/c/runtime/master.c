@@ -616,7 +616,8 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
             has_ended = over;
             is_early = early;
             if (event && u->has_instants) u->is_due = 1;
-            if (!is_early && status != DISCARD) last = end;
+            const bool is_named = has_ended && last >= t && last <= end; /* where it ended the run */
+            if (!is_early && status != DISCARD && !is_named) last = end;
         }
         stepped = NULL;
         if (inner_status && judged(m, u, inner_call, inner_status)) return 1;
