@@ -95,7 +95,7 @@ def _meant(name: str) -> str:
     from .model.simulink import hint
     from .text.errors import did_you_mean
 
-    return hint(name) or did_you_mean(name, __all__)
+    return hint(name, __all__) or did_you_mean(name, __all__)
 
 
 def __dir__() -> list[str]:

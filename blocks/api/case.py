@@ -361,6 +361,10 @@ def _check_inputs(word: str, given: Inputs) -> None:
         elif not isinstance(source, (str, os.PathLike)):
             message = f"{type(source).__name__} is neither a mapping of values by name nor the path of a file."
             cure = 'Examples: inputs={"r": 1.0}, and over time inputs={"r": (t, u)}.'
+            table = getattr(source, "columns", None)  # of pandas; of numpy
+            names = list(getattr(getattr(source, "dtype", None), "names", None) or () if table is None else table)
+            if len(names) > 1 and all(isinstance(name, str) for name in names):
+                cure = f"Of a table: inputs={{name: (table[{names[0]!r}], table[name]) for name in {names[1:5]}}}."
             raise UsageError(Fault("E501", word, message, cure))
 
 

@@ -97,19 +97,22 @@ class Catalog:
 
         A type matches by its name, group, first line, ports and parameters, or by a word of Simulink that means it.
         Types come in this order: by their own name, by a word of Simulink, by the rest. Words of Simulink are returned
-        if they match and mean no type. If nothing matches, the words are returned whose section in the documentation
-        has a heading with all words of `text`.
+        if they match and mean no type. If nothing matches, the types are returned whose whole description does; else
+        the words whose section in the documentation has a heading with all words of `text`.
         """
         asked = text.lower().split()
         told = [word for word in words().values() if _says(asked, word.name)]
+        every = [found for members in self.groups().values() for found in members]
         ranked = []
-        for found in (found for members in self.groups().values() for found in members):
+        for found in every:
             names = tuple(word.name for word in told if found.name in word.meant)
             own = " ".join(_texts(self.types[found.name], found))
             if names or _says(asked, own):
                 ranked.append((not _says(asked, found.name), not names, found._replace(words=names)))
         ranked.sort(key=lambda item: item[:2])
         if not ranked and not told:
+            if described := [found for found in every if _says(asked, self.types[found.name].declaration.doc)]:
+                return described, []
             titled = [word for word in words().values() if _says(asked, word.see.partition("#")[2])]
             return [], [*{word.here: word for word in reversed(titled)}.values()][::-1]
         return [found for *_, found in ranked], [word for word in told if not word.blocks]

@@ -62,7 +62,7 @@ from .case import (
 )
 from .checks import checked, coupled_block, exportable, faults_beside, flat_of, single_plan
 from .draft import Draft
-from .entries import as_name, input_entry, input_like, parameter_entry
+from .entries import as_name, block_entry, input_entry, input_like, parameter_entry
 from .last_made import LastMade, names_files
 from .late import late
 from .ports import Handle, PortName, plain_settings, signal_names, sink_text, source_text, text_of
@@ -814,6 +814,8 @@ class Diagram(Guided):
         its type, or of the system of python-control that it is made of.
         """
         own: Block = _as_block(name or "alone", block)
+        if not isinstance(own, Block):
+            block_entry(name or "alone", own, "")  # which refuses it
         foreign = type(own).declaration.foreign
         kind = type(own).__name__ if foreign is None else as_name(type(own).__name__)
         if own is not block:

@@ -110,6 +110,8 @@ def _described(value: Any) -> object:
         value = edges_of(value)
     if isinstance(value, Mapping):
         return {str(key): _described(item) for key, item in value.items()}
+    if hasattr(value, "__array__"):  # a column of pandas, too
+        value = np.asarray(value)
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, (list, tuple, np.ndarray)) and len(value) > MOST_NUMBERS:

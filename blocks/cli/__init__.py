@@ -27,7 +27,7 @@ from typing import Any, NoReturn
 
 from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
-from ..text.other_words import option_meant
+from ..text.other_words import command_meant, option_meant
 from .output import say, silence, tell_faults
 from .stop_signals import INTERRUPTED, hearing
 
@@ -186,7 +186,7 @@ class _Parser(argparse.ArgumentParser):
             choices = re.findall(r"[\w.-]+", match[3])
             noun = "command" if match[1] == "COMMAND" else f"value of {match[1]}"
             message = f"{_short(match[2])} is not a {noun}."
-            near = did_you_mean(match[2][:200], choices)
+            near = (command_meant if noun == "command" else did_you_mean)(match[2][:200], choices)
             cure = f"{near} Choose one of: {', '.join(choices)}." if near else f"Choose one of: {', '.join(choices)}."
         elif message.startswith("unrecognized arguments: "):
             first = message.removeprefix("unrecognized arguments: ")

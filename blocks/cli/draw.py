@@ -80,5 +80,8 @@ def _page(options: argparse.Namespace, diagram: Diagram) -> str:
     variants = variants_of(options.variants)
     results = Results.load(options.results) if options.results else None
     if options.run:
+        if diagram.value.run.get("stop") is None:
+            cure = 'Set "stop" in the file\'s "run", or show the results of `blocks run`: --results FILE.'
+            raise UsageError(Fault("E501", diagram.name, "the run has no stop time.", cure))
         results = diagram.run(variants=variants).smooth()
     return page_of(diagram, results, variants=variants)

@@ -44,6 +44,8 @@ def time_of(option: str, text: str | None) -> object:
         return text
     if "/" in text or text[:1].isalpha():  # no unit of time has a slash
         cure = f'Begin an expression with "=": --{option} "={text}".'
+        if re.match(r"[\w.\[\]]+=", text):  # FMPy calls parameters start values
+            cure = f'It is a time. To set a parameter: --set "{text}".'
         raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not a number.", cure))
     return number_of(option, text)
 

@@ -206,6 +206,7 @@ def vary_of(items: Sequence[str]) -> dict[Any, Any]:
         name, separator, text = item.partition("=")
         if not (separator and name.strip() and text.strip()):
             cure = 'Example: --vary "motor.Ra=normal:0.16,0.01".'
+            cure = _NO_FILES if _names_file(item) else cure
             raise UsageError(Fault("E501", f"--vary {item}", "is not NAME=VALUES.", cure))
         pattern = re.fullmatch(r"\s*each\((.*)\)\s*", name)
         key = each(pattern[1].strip()) if pattern else name.strip()
@@ -239,6 +240,16 @@ def _values(place: str, text: str) -> object:
     return [{"value": value, "unit": unit} for value in made.tolist()]
 
 
+_NO_FILES = (
+    "--vary reads no files: list the values between commas; in Python, "
+    "sweep(...) takes a table of rows (pandas.read_csv)."
+)
+
+
+def _names_file(text: str) -> bool:
+    return text.startswith("@") or text.lower().endswith((".csv", ".parquet"))
+
+
 def _listed(place: str, text: str) -> list[Any]:
     """Return values between commas: numbers, maybe with units, texts, or JSON lists for vectors."""
     from ..text.errors import ModelError
@@ -249,9 +260,8 @@ def _listed(place: str, text: str) -> list[Any]:
         except ModelError as error:
             message = f"{text!r} is not a list of vectors: {error.faults[0].message}"
             raise UsageError(Fault("E501", place, message, "Example: [1,2],[3,4].")) from None
-    if text.startswith("@"):
-        cure = "List the values between commas; in Python, sweep(...) takes a table of rows (pandas.read_csv)."
-        raise UsageError(Fault("E501", place, f"{text!r} is not a list of values: --vary reads no files.", cure))
+    if _names_file(text):
+        raise UsageError(Fault("E501", place, f"{text!r} is not a list of values.", _NO_FILES))
     words = [word.strip() for word in text.split(",")]
     if not all(words):
         message = f"{text!r} has no value {'after its last comma' if all(words[:-1]) else 'between two commas'}."

@@ -28,6 +28,7 @@ from typing import Any
 
 from ..host.ipython_errors import UnknownPort
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.other_words import parameter_meant
 from .class_body import Body, check_parts, declare
 from .declaration import Declaration
 from .inheritance import Entry, completed, merged, taken_over
@@ -149,6 +150,8 @@ def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
 def _by_name(known: Mapping[str, Parameter], given: object) -> str:
     """Return what to write for a value without a name."""
     plain = [name for name, parameter in known.items() if not parameter.structural] or [*known]
+    if isinstance(given, str) and not given.startswith("="):  # the text of an Expression, and no unit
+        plain = [name for name, p in known.items() if p.type == "string" and not name.startswith("unit")] or plain
     shown = " ".join(repr(given).split())
     return f"{plain[0] if plain else 'k'}={shown if len(shown) < 60 else '...'}"
 
@@ -191,7 +194,9 @@ class Block(metaclass=BlockMeta):
                 if name in cls.declaration.streams
                 else f'Give it when you add the block: add("x", {cls.__name__}(), {name}=...).'
                 if name in _OF_ADDING
-                else did_you_mean(name, known) or f"Parameters: {', '.join(known) or 'none'}.",
+                else parameter_meant(name, known, cls.declaration.inputs)
+                or did_you_mean(name, known)
+                or f"Parameters: {', '.join(known) or 'none'}.",
             )
             for name in parameters
             if name not in known

@@ -347,6 +347,7 @@ _FOREIGN = {
     "=": "Write one = at the start only, and == for equality. Only conditions have comparisons.",
     ".": "A name cannot contain a point: only parameters of this diagram can be read.",
     "[": "Elements of a vector cannot be read here.",
+    **dict.fromkeys("&|!", "Conditions are joined by and, or, not."),
     "×": "Write a product with *.",
     "·": "Write a product with *.",
     "−": "Write the minus sign as '-'.",

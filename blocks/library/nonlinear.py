@@ -74,7 +74,7 @@ class Relay(Block, describing="relay"):
 
     Both instants are located. If u lies between off_at and on_at at the start, starts_on decides. With off_at = on_at
     the relay is a comparator, without hysteresis; in a loop that pushes u back to this edge it switches ever faster,
-    which stops the run with an error (E304).
+    which stops the run with an error (E304). A thermostat heats below off_at: on=0, and off is the power.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')

@@ -32,6 +32,7 @@ from ..text.grammar import (
     in_words,
     listed,
 )
+from ..text.other_words import ARGUMENTS
 from ..text.printable import quoted
 from ..text.quantity_text import DECIMAL, in_a_file
 from . import streams
@@ -262,6 +263,7 @@ RUN = Object(
     )),
     Field("master", MASTER),
     DOC,
+    strays={word: f'Did you mean "{ours}"?' for word, ours in ARGUMENTS.items()},
     name="run",
     doc="How the diagram is simulated, unless a run has other settings.",
 )  # fmt: skip

@@ -25,6 +25,7 @@ from ..text import units
 from ..text.element_names import indexed, matching
 from ..text.errors import Fault, ModelError
 from ..text.json_document import AT_KEY
+from ..text.other_words import CONDITION_NAMES
 from ..text.printable import legible, quoted
 from ..text.quantity_text import in_a_file, read_quantity
 from .block_signals import FlatSignal, Signals, element_of
@@ -362,6 +363,7 @@ class _Flattener:
             if not self.is_lost(name):
                 is_unit = text[: text.index(name)].rstrip()[-1:].isdigit()
                 cure = "Numbers are in SI: write them without a unit." if is_unit else ""
+                cure = cure or CONDITION_NAMES.get(name.lower(), "")
                 cure = cure or self.faults.guess(name, signals) or self.faults.guess(name, self.root.parameters)
                 cure = cure or "Name an output, as in lift.height, a parameter of the diagram, or t."
                 self.refuse_ending("E105", f"there is no signal {quoted(name)}.", cure)

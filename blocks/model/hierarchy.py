@@ -23,6 +23,7 @@ from ..text import units
 from ..text.errors import BlocksError, Fault, ModelError
 from ..text.json_document import AT_KEY
 from ..text.json_number import Number
+from ..text.other_words import parameter_meant
 from ..text.printable import legible, quoted
 from ..text.quantity_text import quantity_of
 from . import streams
@@ -469,7 +470,7 @@ class Hierarchy:
             return self.resolver(entry.type)
         except KeyError as error:
             known_types = [word for word in error.args if word != entry.type]
-            meant = hint(entry.type) or self.faults.guess(entry.type, known_types)
+            meant = hint(entry.type, known_types) or self.faults.guess(entry.type, known_types)
             cure = f"{meant} `blocks list` shows the types; --library adds your own.".strip()
             self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
             return None
@@ -482,7 +483,8 @@ class Hierarchy:
             if key in declaration.settable:
                 raws[key] = (raw, "", (*spot, "parameters", key))
             else:
-                cure = self.faults.guess(key, declaration.settable)
+                cure = parameter_meant(key, declaration.settable, declaration.inputs)
+                cure = cure or self.faults.guess(key, declaration.settable)
                 cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.settable)}."
                 if key in declaration.streams:
                     cure = f'Write "stream": {quoted(str(raw))} beside "type" and "parameters".'

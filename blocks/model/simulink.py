@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import resources
 from typing import NamedTuple
@@ -55,9 +55,9 @@ def word_of(name: str) -> Word | None:
     return next((word for word in words().values() if _plain(word.name) == _plain(name)), None)
 
 
-def hint(name: str) -> str:
-    """Return a sentence with the equivalent of a term, or "" if it is none."""
-    word = word_of(name)
+def hint(name: str, types: Iterable[str] = ()) -> str:
+    """Return a sentence with the equivalent of a term, or "" if it is none, or one of the types but for its case."""
+    word = None if name.casefold() in map(str.casefold, types) else word_of(name)
     return f"The equivalent of {quoted(word.name)}: {word.here}" if word else ""
 
 

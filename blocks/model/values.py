@@ -277,7 +277,9 @@ def _array(raw: Sequence[object], declared: Unit, known: Known) -> Value:
         if isinstance(value, str) and value in ("inf", "-inf"):
             _refuse(f"must hold finite numbers, not {value}.")
         if not _is_number(value):
-            _refuse(f"a list must hold numbers, not {_kind(value)}.")
+            words = [word for word in raw if isinstance(word, str)]
+            cure = f"For several names, write one text: {quoted(', '.join(words))}." if len(words) == len(raw) else ""
+            _refuse(f"a list must hold numbers, not {_kind(value)}.", cure)
         return value
 
     if isinstance(declared, tuple) and len(set(declared)) > 1:

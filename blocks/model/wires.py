@@ -656,7 +656,9 @@ class Wires:
         if name not in strand.names:
             known = [known for known in strand.names if known]
             cure = f"{self.faults.guess(name, known)} Elements: {', '.join(known)}.".strip()
-            cure = cure if known else 'Its elements have no names: give them with the parameter "names" of a Mux.'
+            if not known:
+                numbers = f'Its elements have no names. Use a number, as in "{base}[0]", or give names'
+                cure = f'{numbers} with the parameter "names" of a Mux; blocks with equations pass none on.'
             self.tell(scope, "E105", place, f"{base} has no element {quoted(name)}.", cure, spot)
             raise Absent
         k = strand.names.index(name)

@@ -303,7 +303,9 @@ class Results(Guided, Shown):
                     return Signal(self._block(first + index, 1)[:, 0], self.t, unit, name)
             bus, element = named_element(name)
             if element and bus in self.columns:
-                raise UnknownName(f"{bus} is recorded by number. Use {bus}[0], or add {name!r} to the log.")
+                last = math.prod(self.columns[bus][1]) - 1
+                cure = f"Use {bus}[0] to {bus}[{last}], or, if a Mux names its elements, add {name!r} to the log."
+                raise UnknownName(f"{bus} is recorded by number. {cure}")
             cure = f"{signal_meant(name, self.columns)} Recorded: {', '.join(self.columns)}."
             raise UnknownName(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]
@@ -480,6 +482,7 @@ class Results(Guided, Shown):
         """
         from . import plots
 
+        _check_labels(label, beside)
         if beside:
             if (label or self.diagram) in beside:
                 message = f"two results have the label {quoted(label or self.diagram)}."
@@ -643,3 +646,13 @@ def _bars(picked: Array, low: float, high: float) -> str:
     if high - low <= 1e-12 * max(abs(low), abs(high)):
         return BARS[3] * len(picked)
     return "".join(BARS[min(7, int(8 * (x - low) / (high - low)))] for x in picked)
+
+
+def _check_labels(label: object, beside: object) -> None:
+    """Raise UsageError (E501) unless these are the labels of results that one figure shows."""
+    if not isinstance(label, str):
+        cure = 'It names these results beside others: plot(..., label="kp 800", beside={"kp 400": other}).'
+        raise UsageError(Fault("E501", "plot(label=)", f"{quoted(str(label)[:60])} is not a text.", cure))
+    if not (beside is None or (isinstance(beside, Mapping) and all(isinstance(r, Results) for r in beside.values()))):
+        cure = 'Give results by their labels: beside={"kp 400": other}.'
+        raise UsageError(Fault("E501", "plot(beside=)", "is not a mapping from labels to results.", cure))

@@ -63,7 +63,8 @@ def read_columns(
     if not header:
         raise ValueError("is empty.")
     if len(set(header)) < len(header):
-        raise ValueError("has two columns with the same name.")
+        twice = next(name for name in header if header.count(name) > 1)
+        raise ValueError(f"has two columns with the same name, {twice[:40]!r}.")
     return header, np.array(numbers).reshape(count, len(header))
 
 

@@ -15,10 +15,13 @@ import pytest
 
 from blocks import (
     Diagram,
+    Expression,
     FirstOrder,
     Gain,
+    Mux,
     Results,
     Saturation,
+    Sine,
     StateObserver,
     StateSpace,
     Step,
@@ -136,6 +139,7 @@ def test_without_jumps_each_time_is_there_once(d: Diagram) -> None:
 # --- hints -------------------------------------------------------------------------------------------------------
 
 t = np.linspace(0, 1, 5)
+TABLE = pandas.DataFrame({"time": t, "r": 2 * t})
 GUESSES: list[tuple[Callable[[Any, Any, Any], object], str]] = [
     (lambda d, r, s: d.run(stop_time=10), "Did you mean 'stop'?"),
     (lambda d, r, s: d.run(t_final=10), "Did you mean 'stop'?"),
@@ -175,6 +179,25 @@ GUESSES: list[tuple[Callable[[Any, Any, Any], object], str]] = [
     (lambda d, r, s: d.add("g", Gain(k=np.ones((1, 2)))), "MatrixGain"),
     (lambda d, r, s: Step(copies=2), 'add("x", Step(), copies=...)'),
     (lambda d, r, s: d.sweep({"K.k": [1.0]}, stop=1, measures=["overshoot"]), 'measure("overshoot", "overshoot", of='),
+    (lambda d, r, s: d.run(stop=1, inputs=TABLE), "inputs={name: (table['time'], table[name]) for name in ['r']}"),
+    (lambda d, r, s: d.run(stop=1, inputs=TABLE.to_records(index=False)), "(table['time'], table[name])"),
+    (lambda d, r, s: d.run(stop=1, stop_when="time > 1"), "The time is t."),
+    (lambda d, r, s: d.run(stop=1, stop_when="K.y == True"), "A bool is a condition by itself"),
+    (lambda d, r, s: d.run(stop=1, stop_when="K.y > 1 && t > 1"), "Conditions are joined by and, or, not."),
+    (lambda d, r, s: Step(time=1.0), "Did you mean 'at'?"),
+    (lambda d, r, s: Saturation(min=-1.0), "Did you mean 'lower'?"),
+    (lambda d, r, s: Sine(frequency=50.0), "Did you mean 'omega'? It is in rad/s: 50 Hz are 50 rev/s."),
+    (lambda d, r, s: Gain(u=3.0), "It is an input: wire a source to it"),
+    (lambda d, r, s: Expression("2*u1"), "Write Expression(expression='2*u1')."),
+    (lambda d, r, s: Gain("3 dB"), "Write Gain(k='3 dB')."),
+    (lambda d, r, s: d.add("bus", Mux(names=["a", "b"])), 'For several names, write one text: "a, b".'),
+    (lambda d, r, s: Diagram.alone("Gain"), '"Gain" is not a block.'),
+    (lambda d, r, s: Diagram.alone(Gain), "Add an instance: Gain()."),
+    (lambda d, r, s: d.report, "`blocks draw x.json --run -o x.html`"),
+    (lambda d, r, s: r.to_excel, 'Write results.to_csv("x.csv")'),
+    (lambda d, r, s: r.plot("K.y", label={"K.y": "gain"}), 'plot(..., label="kp 800", beside={"kp 400": other})'),
+    (lambda d, r, s: r.plot("K.y", beside=r), 'beside={"kp 400": other}'),
+    (lambda d, r, s: r.plot("K.y", beside=[r]), 'beside={"kp 400": other}'),
 ]
 
 
@@ -227,6 +250,16 @@ def test_a_model_of_a_saturated_diagram_comes_with_a_warning() -> None:
         (["run", "--measure", "top"], "The command computes all measures of the diagram."),
         (["run", "--params", "k=2"], "Did you mean '--set'?"),
         (["sweep", "--vary", "K.k=1,2"], "Give --stop T"),
+        (["sweep", "--vary", "K.k=k.csv"], "--vary reads no files"),
+        (["sweep", "--vary", "@k.csv"], "--vary reads no files"),
+        (["run", "--until", "2"], "Did you mean '--stop'?"),
+        (["run", "--start", "K.k=2"], 'It is a time. To set a parameter: --set "K.k=2".'),
+        (["run", "--html"], "`blocks draw DIAGRAM.json --run -o FILE.html`"),
+        (["run", "--title", "x"], "A figure is labelled in Python"),
+        (["run", "--xyz"], "`blocks run --help` lists"),  # and no option that shares no more than dashes
+        (["draw", "--run", "-o", "d.html"], "show the results of `blocks run`: --results FILE"),
+        (["simulate"], "Did you mean 'run'?"),
+        (["info"], "Of an FMU: blocks fmu info X.fmu. Of a diagram: blocks check X.json."),
     ],
 )
 def test_the_command_line_knows_the_same_words(
@@ -236,6 +269,46 @@ def test_the_command_line_knows_the_same_words(
     d.save("d.json")
     assert main([words[0], "d.json", *words[1:]]) == 2
     assert cure in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "cure"),
+    [
+        (["fmu", "motor.fmu"], "To see what is in an FMU: blocks fmu info motor.fmu."),
+        (["fmu", "validate", "motor.fmu"], "Did you mean 'check'?"),
+        (["d.json"], "To run a diagram: blocks run d.json."),
+    ],
+)
+def test_a_file_in_the_place_of_a_command_is_offered_one(words: list[str], cure: str, capsys: Any) -> None:
+    assert main(words) == 2
+    assert cure in capsys.readouterr().err
+
+
+def test_the_run_of_a_file_knows_the_same_words_and_types_in_another_case(d: Diagram) -> None:
+    raw = d.to_json()
+    raw["run"] = {"stop_time": 1, "solver": "rk4", "dt": 0.1}
+    raw["blocks"]["K"]["type"] = "gain"
+    raw["blocks"]["G"]["parameters"]["u"] = 1
+    with pytest.raises(ValueError, match="stop_time") as refused:
+        Diagram.from_json(raw).check()
+    cures = [fault.cure for fault in refused.value.faults]  # type: ignore[attr-defined]
+    assert cures[:3] == [f'Did you mean "{word}"?' for word in ("stop", "method", "step")]
+    del raw["run"]
+    with pytest.raises(ValueError, match="there is no block type") as refused:
+        Diagram.from_json(raw).check()
+    assert "Did you mean 'Gain'?" in str(refused.value)
+    assert "It is an input" in str(refused.value)
+
+
+def test_columns_of_pandas_are_inputs(d: Diagram) -> None:
+    columns = {"r": (TABLE["time"], TABLE["r"])}
+    plain = {"r": (TABLE["time"].to_numpy(), TABLE["r"].to_numpy())}
+    assert np.array_equal(d.run(stop=1, inputs=columns).values, d.run(stop=1, inputs=plain).values)
+
+
+def test_a_search_that_finds_no_name_finds_descriptions(capsys: Any) -> None:
+    assert main(["list", "--search", "hysteresis"]) == 0
+    assert capsys.readouterr().out.split()[0] == "Relay"
 
 
 def test_a_property_that_fails_says_why() -> None:

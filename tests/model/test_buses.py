@@ -70,8 +70,8 @@ def test_a_bus_is_the_vector_that_it_was() -> None:
     [
         ("pose.y[thet]", "E105 far.u: pose.y has no element \"thet\". Did you mean 'theta'? Elements: x, y, theta."),
         ("x.y[theta]", (
-            'x.y has no element "theta". Its elements have no '
-            'names: give them with the parameter "names" of a Mux.'
+            'x.y has no element "theta". Its elements have no names. Use a number, as in "x.y[0]", '
+            'or give names with the parameter "names" of a Mux; blocks with equations pass none on.'
         )),
         ("pose.z[theta]", 'E105 far.u: pose has no output "z".'),
         ("nobody.y[theta]", 'E105 far.u: the source "nobody.y[theta]" is not there.'),
@@ -114,7 +114,7 @@ def test_a_bus_in_python() -> None:
 def test_results_tell_how_an_element_is_recorded_under_its_name() -> None:
     results = Diagram.from_json(document()).run(log=["pose.y"])
     assert results["pose.y[2]"][-1] == pytest.approx(1.0, rel=1e-12)
-    with pytest.raises(KeyError, match=r"pose.y is recorded by number\. Use pose.y\[0\], or add 'pose.y\[th"):
+    with pytest.raises(KeyError, match=r"by number\. Use pose.y\[0\] to pose.y\[2\], or, .* add 'pose.y\[th"):
         _ = results["pose.y[theta]"]
 
 
