@@ -28,7 +28,7 @@ def add(verbs: Verbs) -> None:
     platform = "x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin; may be repeated; none: "
     platform += "sources only (default: this machine's)"
     takes_several(export, "--platform", "P", platform, dest="platforms", default=None)
-    takes_settings(export, "method", "step", "rtol", "atol", "seed")
+    takes_settings(export, "stop-when", "method", "step", "rtol", "atol", "seed")
     log = "show this signal instead of the file's choice; may be repeated"
     takes_several(export, "--log", "SIGNAL", log, default=None)
     takes_parameters(export)

@@ -37,12 +37,12 @@ def add(verbs: Verbs) -> None:
         ),
     ):
         part = parts.add_parser(what, help=title, description=text)
-        part.add_argument("fmu", metavar="X.fmu")
+        part.add_argument("fmus", metavar="X.fmu", nargs="+")
         if what == "info":
             part.add_argument(
                 "--all", action="store_true", help="show locals too, and all variables of each group (otherwise 30)"
             )
-        takes_json(part, "one JSON object")
+        takes_json(part, "one JSON object for each FMU")
         part.set_defaults(verb=_fmu, what=what)
     alone = parts.add_parser(
         "run",
@@ -77,13 +77,16 @@ def add(verbs: Verbs) -> None:
 def _fmu(options: argparse.Namespace) -> int:
     from ..fmi.summary import tell
 
-    with waiting(f"reading {options.fmu}", quiet=options.json), paused():
-        told = tell(options.fmu)
-        if options.json:
-            emit({"event": "fmu", **told.entry()})
-        else:
-            print(printable(told.info(everything=options.all) if options.what == "info" else told.check()))
-    return 4 if options.what == "check" and told.errors else 0
+    errors = 0
+    for path in options.fmus:
+        with waiting(f"reading {path}", quiet=options.json), paused():
+            told = tell(path)
+            errors += len(told.errors)
+            if options.json:
+                emit({"event": "fmu", **told.entry()})
+            else:
+                print(printable(told.info(everything=options.all) if options.what == "info" else told.check()))
+    return 4 if options.what == "check" and errors else 0
 
 
 def _compile(options: argparse.Namespace) -> int:

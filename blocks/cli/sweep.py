@@ -205,8 +205,10 @@ def vary_of(items: Sequence[str]) -> dict[Any, Any]:
     for item in items:
         name, separator, text = item.partition("=")
         if not (separator and name.strip() and text.strip()):
+            if _names_file(item):
+                message = "is not NAME=VALUES: --vary reads no files."
+                raise UsageError(Fault("E501", f"--vary {item}", message, _NO_FILES))
             cure = 'Example: --vary "motor.Ra=normal:0.16,0.01".'
-            cure = _NO_FILES if _names_file(item) else cure
             raise UsageError(Fault("E501", f"--vary {item}", "is not NAME=VALUES.", cure))
         pattern = re.fullmatch(r"\s*each\((.*)\)\s*", name)
         key = each(pattern[1].strip()) if pattern else name.strip()
@@ -240,10 +242,7 @@ def _values(place: str, text: str) -> object:
     return [{"value": value, "unit": unit} for value in made.tolist()]
 
 
-_NO_FILES = (
-    "--vary reads no files: list the values between commas; in Python, "
-    "sweep(...) takes a table of rows (pandas.read_csv)."
-)
+_NO_FILES = "List the values between commas; in Python, sweep(...) takes a table of rows (pandas.read_csv)."
 
 
 def _names_file(text: str) -> bool:
@@ -261,7 +260,8 @@ def _listed(place: str, text: str) -> list[Any]:
             message = f"{text!r} is not a list of vectors: {error.faults[0].message}"
             raise UsageError(Fault("E501", place, message, "Example: [1,2],[3,4].")) from None
     if _names_file(text):
-        raise UsageError(Fault("E501", place, f"{text!r} is not a list of values.", _NO_FILES))
+        message = f"{text!r} is not a list of values: --vary reads no files."
+        raise UsageError(Fault("E501", place, message, _NO_FILES))
     words = [word.strip() for word in text.split(",")]
     if not all(words):
         message = f"{text!r} has no value {'after its last comma' if all(words[:-1]) else 'between two commas'}."

@@ -250,8 +250,8 @@ def test_a_model_of_a_saturated_diagram_comes_with_a_warning() -> None:
         (["run", "--measure", "top"], "The command computes all measures of the diagram."),
         (["run", "--params", "k=2"], "Did you mean '--set'?"),
         (["sweep", "--vary", "K.k=1,2"], "Give --stop T"),
-        (["sweep", "--vary", "K.k=k.csv"], "--vary reads no files"),
-        (["sweep", "--vary", "@k.csv"], "--vary reads no files"),
+        (["sweep", "--vary", "K.k=k.csv"], "'k.csv' is not a list of values: --vary reads no files"),
+        (["sweep", "--vary", "@k.csv"], "takes a table of rows (pandas.read_csv)"),
         (["run", "--until", "2"], "Did you mean '--stop'?"),
         (["run", "--start", "K.k=2"], 'It is a time. To set a parameter: --set "K.k=2".'),
         (["run", "--html"], "`blocks draw DIAGRAM.json --run -o FILE.html`"),
@@ -304,6 +304,21 @@ def test_columns_of_pandas_are_inputs(d: Diagram) -> None:
     columns = {"r": (TABLE["time"], TABLE["r"])}
     plain = {"r": (TABLE["time"].to_numpy(), TABLE["r"].to_numpy())}
     assert np.array_equal(d.run(stop=1, inputs=columns).values, d.run(stop=1, inputs=plain).values)
+
+
+def test_a_folder_of_fmus_is_looked_at_with_one_command(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, kinds in (("a.fmu", ["CS"]), ("b.fmu", ["ME"])):
+        Diagram.alone(FirstOrder()).export(name, kinds=kinds)
+    assert main(["fmu", "info", "a.fmu", "b.fmu"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    titles = [line.rpartition(", ")[2] for line in lines if ".fmu: " in line]
+    assert titles == ["Co-Simulation", "Model Exchange"]
+    Diagram.alone(FirstOrder()).export("c.fmu", platforms=[])  # sources only
+    names = (["a.fmu", "b.fmu"], ["a.fmu", "c.fmu"], ["c.fmu", "a.fmu"])
+    assert [main(["fmu", "check", *each]) for each in names] == [0, 4, 4]
 
 
 def test_a_search_that_finds_no_name_finds_descriptions(capsys: Any) -> None:

@@ -30,6 +30,7 @@ from blocks import (
     edit_file,
     fmu,
 )  # fmt: skip
+from blocks.cli import main
 from blocks.compile.toolchain.compiler import find_compiler
 
 NEEDS_COMPILER = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
@@ -409,6 +410,15 @@ def test_the_command_line_reports_the_end(tmp_path):
     last = json.loads(done.stdout.splitlines()[-1])
     assert last["t"] == pytest.approx(FALL)
     assert last["ended"] == f"the run ended at t = {FALL:.10g} s: height.y <= floor."
+
+
+@NEEDS_COMPILER
+def test_the_command_line_exports_a_condition(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    falling().save("fall.json")
+    assert main(["export", "fall.json", "-o", "fall.fmu", "--fmi", "2", "--stop-when", "height.y <= 3"]) == 0
+    rows = simulate_fmu("fall.fmu", stop_time=5, output_interval=0.1, fmi_type="CoSimulation")
+    assert rows["time"][-1] == pytest.approx(math.sqrt(2 * (HEIGHT - 3) / G), abs=1e-12)
 
 
 def test_the_origin_of_results_has_the_condition():
