@@ -13,6 +13,7 @@ from ..contract.variables import UNLIMITED
 from ..library import LIBRARY
 from ..model.values import in_si
 from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.other_words import hinted
 from ..text.printable import legible
 from ..text.units import from_si, quotient
 from .diagram import Diagram, Subdiagram
@@ -26,6 +27,7 @@ OBSERVERS: dict[str, tuple[str, dict[str, Any]]] = {
 """The observers by name: the block, and its values beyond those that all get. omega_o is the fastest pole of each."""
 
 
+@hinted()
 def ADRC(
     order: int = 2,
     *,

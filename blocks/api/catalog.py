@@ -12,6 +12,7 @@ from ..contract.interface import Interface
 from ..model import simulink
 from ..model.block_types import Library, library_types
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
+from ..text.other_words import TYPES
 from ..text.printable import legible
 
 Word = simulink.Word
@@ -75,9 +76,9 @@ class Catalog:
 
             return sheet_of(fmu_type(name))
         if name not in self.types:
-            if name == "ADRC":
+            if name in TYPES:
                 message = "is a function that makes a diagram, and not a block type."
-                cure = "See help(blocks.ADRC) in Python. `blocks new FILE --adrc` writes the diagram."
+                cure = f"{TYPES[name]} In Python, see help(blocks.{name})."
                 raise UsageError(Fault("E103", name, message, cure))
             near = did_you_mean(name[:200], (*self.types, *self.groups(), *words()))
             cure = f"{near} `blocks list --search WORD` searches the descriptions, `blocks list` shows all types."

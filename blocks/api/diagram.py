@@ -42,8 +42,8 @@ from ..model.resolver import resolver_of
 from ..model.variants import Swap, taken
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
-from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
-from ..text.other_words import Guided
+from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, check_mappings, did_you_mean
+from ..text.other_words import ROWS, Guided, check_arguments, hinted, measure_meant
 from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
 from .case import (
@@ -374,6 +374,7 @@ class Diagram(Guided):
         """The variants that `with_variants` has put in place of their blocks."""
         return self._chosen
 
+    @hinted(end="Did you mean 'stop'?", to="Did you mean 'stop'?", ref="Did you mean 'against'?")
     def measure(
         self,
         name: str,
@@ -396,7 +397,7 @@ class Diagram(Guided):
             )
         check_name(name)
         if isinstance(type, str) and type not in MEASURES:
-            cure = did_you_mean(type, MEASURES) or f"Measures: {', '.join(MEASURES)}."
+            cure = measure_meant(type) or did_you_mean(type, MEASURES) or f"Measures: {', '.join(MEASURES)}."
             raise ModelError(Fault("E116", f"measures.{name}", f"there is no measure {quoted(type)}.", cure))
         entry: dict[str, object] = {"type": type, "of": text_of(of, self)}
         for key, given in zip(MEASURE_NUMBERS, (against, start, stop, band, omega), strict=True):
@@ -598,6 +599,11 @@ class Diagram(Guided):
         (`sweep.interrupted`). Raises ModelError, UsageError (E501; E504; E506 where the part is of another sweep),
         CompilerError.
         """
+        check_arguments(words, ROWS)
+        if isinstance(case, int):
+            message = f"{case} is an argument without a name."
+            raise UsageError(Fault("E501", "sweep", message, f"Write n={case}."))
+        check_mappings(margins=margins)
         case, work = case_and_work(case, words)
         return late(
             "sweep", self, vary, case, work,
@@ -856,9 +862,7 @@ class Diagram(Guided):
         from ..export.exporter import export
         from ..text.version import __version__
 
-        for word, meant in (("version", "fmi"), ("fmi_version", "fmi"), ("kind", "kinds"), ("platform", "platforms")):
-            if word in words:
-                raise UsageError(Fault("E501", word, "is not an argument.", f"Did you mean '{meant}'?"))
+        check_arguments(words, {"version": "fmi", "fmi_version": "fmi", "kind": "kinds", "platform": "platforms"})
         case = case_of(case, words, ModelWords)
         if name:
             check_name(name)

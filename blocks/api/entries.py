@@ -93,6 +93,7 @@ def block_entry(name: str, block: object, folder: str) -> tuple[dict[str, object
         raise UsageError(Fault("E501", name, f"{block.__name__} is a class, not a block.", cure))
     if not isinstance(block, Block):
         cure = "Add a Block, a Diagram or a subdiagram(...)."
+        cure = "Write MatrixGain(K=...)." if isinstance(block, np.ndarray) else cure
         shown = repr(block)
         if isinstance(block, (str, os.PathLike)):
             shown = str(block)

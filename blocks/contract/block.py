@@ -180,9 +180,11 @@ class Block(metaclass=BlockMeta):
         known = cls.declaration.settable
         if unnamed:
             cure = f"Write {cls.__name__}({_by_name(known, unnamed[0])})."
+            if isinstance(unnamed[0], float):
+                cure = f"{cure} {parameter_meant('delay', known, (), cls.__name__)}".rstrip()
             if type(unnamed[0]).__module__.startswith(("control.", "scipy.signal.")):
                 cure = 'Add the system itself, as in diagram.add("p", P).'
-                if len(unnamed) > 1:
+                if len(unnamed) > 1 or "L" in known:  # StateObserver(P, L=L)
                     cure = f"Write {cls.__name__}({', '.join(f'{name}=...' for name in cls.declaration.parameters)})."
             raise UsageError(Fault("E501", cls.__name__, "takes parameters by name only.", cure))
         faults = [
@@ -194,7 +196,7 @@ class Block(metaclass=BlockMeta):
                 if name in cls.declaration.streams
                 else f'Give it when you add the block: add("x", {cls.__name__}(), {name}=...).'
                 if name in _OF_ADDING
-                else parameter_meant(name, known, cls.declaration.inputs)
+                else parameter_meant(name, known, cls.declaration.inputs, cls.__name__)
                 or did_you_mean(name, known)
                 or f"Parameters: {', '.join(known) or 'none'}.",
             )

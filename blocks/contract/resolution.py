@@ -21,6 +21,7 @@ import numpy as np
 from ..text.arrays import Array, frozen
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.json_number import is_number
+from ..text.other_words import parameter_meant
 from ..text.printable import counted
 from ..text.units import Declared, si_text, single, to_si
 from ..text.units import parse as parse_unit
@@ -100,7 +101,8 @@ class _Resolving:
         parameters = self.declaration.parameters
         for name, value in given.items():
             if name not in parameters:
-                self.fault("E106", name, "there is no such parameter.", did_you_mean(name, parameters))
+                cure = parameter_meant(name, parameters) or did_you_mean(name, parameters)
+                self.fault("E106", name, "there is no such parameter.", cure)
                 continue
             try:
                 self.values[name] = _typed(parameters[name], value)

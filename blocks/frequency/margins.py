@@ -19,6 +19,7 @@ import numpy as np
 
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.other_words import Guided
 from ..text.rich_output import Shown, Table
 from .closed_loop import (
     Closed,
@@ -58,7 +59,7 @@ _SEEN = 200  # crossings that are searched, of a response whose phase turns with
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Margins(Shown):
+class Margins(Guided, Shown):
     """Margins of a loop, and whether the closed loop is stable; without that, they are distances and no margins.
 
     stable: None where it is not known (measured data without `unstable_poles`), and True only where it is by more than
@@ -173,6 +174,9 @@ class Margins(Shown):
     def wcp(self) -> float:
         """The frequency of `pm`."""
         return math.nan if self.crossover is None else self.crossover
+
+    # stability_margins writes the letters of both frequencies in another order than margin.
+    wpc, wgc = wcg, wcp
 
     @property
     def sm(self) -> float:

@@ -56,6 +56,9 @@ def places(graph: Interconnection, name: str) -> tuple[SignalElement, ...]:
     outer = name.rpartition(".")[0]
     cure = f"Did you mean '{outer}'?" if outer in graph.plan.signals else did_you_mean(name[:200], known)
     cure = cure or f"Signals: {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}."
+    inside = [each for each in known if each.startswith(f"{outer}.") and each not in graph.plan.signals]
+    if outer and outer not in graph.at_path and inside:
+        cure += f" Inputs of a subdiagram are no signals: name its source, or an input inside, such as {inside[0]}."
     raise UsageError(Fault("E501", quoted(name[:200]), "there is no such signal.", cure))
 
 

@@ -32,7 +32,7 @@ from ..text.grammar import (
     in_words,
     listed,
 )
-from ..text.other_words import ARGUMENTS
+from ..text.other_words import BODY_KEYS, MEASURE_KEYS, RUN_KEYS, meant_keys
 from ..text.printable import quoted
 from ..text.quantity_text import DECIMAL, in_a_file
 from . import streams
@@ -263,7 +263,7 @@ RUN = Object(
     )),
     Field("master", MASTER),
     DOC,
-    strays={word: f'Did you mean "{ours}"?' for word, ours in ARGUMENTS.items()},
+    strays=meant_keys(RUN_KEYS),
     name="run",
     doc="How the diagram is simulated, unless a run has other settings.",
 )  # fmt: skip
@@ -553,6 +553,7 @@ MEASURE = Object(
         "Of THD: the angular frequency of the fundamental, in rad/s. The window must hold whole periods of it."
     ), is_later=True),
     DOC,
+    strays=meant_keys(MEASURE_KEYS),
     what='an object such as {"type": "ITAE", ...}',
     name="measure",
     doc="A number that every run takes.",
@@ -581,7 +582,10 @@ BODY: Object = Object(
     )), Text(pattern=NAMES.pattern, refers="placed"), tells=False, is_open=True), (
         "The positions of blocks, inputs and outputs in drawings."
     )),
-    strays={field.key: f'It belongs into "run": {{"{field.key}": ...}}.' for field in RUN.fields if field is not DOC},
+    strays={
+        **meant_keys(BODY_KEYS),
+        **{field.key: f'It belongs into "run": {{"{field.key}": ...}}.' for field in RUN.fields if field is not DOC},
+    },
     name="diagram",
     is_open=True,
     doc="A subdiagram.",

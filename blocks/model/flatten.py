@@ -25,7 +25,7 @@ from ..text import units
 from ..text.element_names import indexed, matching
 from ..text.errors import Fault, ModelError
 from ..text.json_document import AT_KEY
-from ..text.other_words import CONDITION_NAMES
+from ..text.other_words import CONDITION_NAMES, measure_meant
 from ..text.printable import legible, quoted
 from ..text.quantity_text import in_a_file, read_quantity
 from .block_signals import FlatSignal, Signals, element_of
@@ -603,7 +603,7 @@ class _Flattener:
 
         type_ = raw["type"]
         if type_ not in MEASURES:
-            cure = self.faults.guess(type_, MEASURES) or f"Measures: {', '.join(MEASURES)}."
+            cure = measure_meant(type_) or self.faults.guess(type_, MEASURES) or f"Measures: {', '.join(MEASURES)}."
             refuse("type", f"there is no measure {quoted(type_)}.", cure)
         raw = {**raw, **{key: read_quantity(raw[key]) for key in MEASURE_NUMBERS if key in raw}}
         operands, complete = self._operands(raw, signals, refuse)

@@ -23,7 +23,7 @@ from ..text import units
 from ..text.errors import BlocksError, Fault, ModelError
 from ..text.json_document import AT_KEY
 from ..text.json_number import Number
-from ..text.other_words import parameter_meant
+from ..text.other_words import TYPES, parameter_meant
 from ..text.printable import legible, quoted
 from ..text.quantity_text import quantity_of
 from . import streams
@@ -192,7 +192,7 @@ class Hierarchy:
             of_all = without_numbers(path)[0].replace("[]", "")
             if path not in self.settable and (are_seen or of_all == path or of_all not in self.settable):
                 inside = [parameter for parameter in self.settable if parameter.startswith(f"{path}.")]
-                cure = self.faults.guess(path, self.settable)
+                cure = parameter_meant(path, self.settable) or self.faults.guess(path, self.settable)
                 cure = f"Parameters of {legible(path)}: {_listed(inside)}." if inside else cure
                 if of_all in self.settable and of_all != path:
                     around = [fleet for fleet in self.fleets if of_all.startswith(f"{fleet.path}.")]
@@ -297,7 +297,7 @@ class Hierarchy:
                 inner.parameters[key] = value
                 inner.origins[key] = Origin(raw, own, own is not raw, unit, depth, is_outer=True)
             else:
-                cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
+                cure = parameter_meant(key, known) or self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
                 self.tell(outer, "E106", place, "there is no such parameter.", cure, (*spot, AT_KEY))
 
     def parameters(self, scope: DiagramScope) -> None:
@@ -470,7 +470,8 @@ class Hierarchy:
             return self.resolver(entry.type)
         except KeyError as error:
             known_types = [word for word in error.args if word != entry.type]
-            meant = hint(entry.type, known_types) or self.faults.guess(entry.type, known_types)
+            meant = TYPES.get(entry.type) or hint(entry.type, known_types)
+            meant = meant or self.faults.guess(entry.type, known_types)
             cure = f"{meant} `blocks list` shows the types; --library adds your own.".strip()
             self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
             return None
@@ -483,7 +484,7 @@ class Hierarchy:
             if key in declaration.settable:
                 raws[key] = (raw, "", (*spot, "parameters", key))
             else:
-                cure = parameter_meant(key, declaration.settable, declaration.inputs)
+                cure = parameter_meant(key, declaration.settable, declaration.inputs, entry.type)
                 cure = cure or self.faults.guess(key, declaration.settable)
                 cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.settable)}."
                 if key in declaration.streams:

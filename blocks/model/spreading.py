@@ -50,12 +50,16 @@ def spread(
 def fitted(
     value: DiagramValue, sink: str, source: str, resolver: Resolver, alone: Alone | None = None
 ) -> tuple[str, str]:
-    """Return a wire between a vector of one element and a single value: it names the element, "plant.u[0]"."""
+    """Return a wire between a vector of one element and a single value, which names the element: "plant.u[0]"."""
     if "[" in sink or "[" in source:
         return sink, source
-    shapes, alone = [], alone or partial(interface_alone, value, resolver=resolver)
+    alone = alone or partial(interface_alone, value, resolver=resolver)
+    shapes: list[tuple[int, ...] | None] = []
     for text, is_input in ((sink, True), (source, False)):
         name, _, port = text.partition(".")
+        if not is_input and text in value.inputs and "size" not in value.inputs[text]:
+            shapes.append(())
+            continue
         entry = value.blocks.get(name)
         cls = None if entry is None or entry.copies is not None or entry.variants else _class_of(entry, resolver)
         if entry is None or cls is None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..results import plots
 from ..text.grammar import AnyOf, Choice, Field, Kind, ListOf, Object, Ref, Rule, Scalar, Steps, Table, Text, Told
+from ..text.other_words import margin_meant
 from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, OPEN_DOC, PLAIN, QUANTITY, RUN, TEXT, TIME, header
 from .diagram_value import is_name
 
@@ -78,7 +79,7 @@ _SIZES = Table(AnyOf(Scalar(above=0), QUANTITY), _SIGNAL)
 def _margin(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     kind, is_loop = value.get("type"), "loop" in value
     if isinstance(kind, str) and kind not in MARGINS:
-        cure = told.guess(kind, MARGINS) or f"Margins: {', '.join(MARGINS)}."
+        cure = margin_meant(kind) or told.guess(kind, MARGINS) or f"Margins: {', '.join(MARGINS)}."
         told.fault("E003", (*path, "type"), f'"{kind}" is not a margin.', cure)
     elif (("from" in value) != ("to" in value)) or is_loop == ("from" in value):
         told.fault("E009", path, 'a margin needs either "loop", the signal at which it is opened, or "from" and "to".')

@@ -22,6 +22,7 @@ from ..contract.sparse import SparseMatrix
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.json_number import is_number
+from ..text.other_words import parameter_meant
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from ..text.units import from_si, si_text, to_si
@@ -221,7 +222,8 @@ def _found(name: str, parameters: _Parameters) -> tuple[list[str], str]:
         known, last = parameters.known, path.rpartition(".")[2]
         what = "matches no parameter" if "*" in path else "there is no such parameter"
         alike = [each for each in known if each.rpartition(".")[2] == last]
-        cure = did_you_mean(path[:200], known) or (f"Did you mean {', '.join(alike[:3])}?" if alike else "")
+        cure = parameter_meant(path[:200], known) or did_you_mean(path[:200], known)
+        cure = cure or (f"Did you mean {', '.join(alike[:3])}?" if alike else "")
         if (parts := name.partition("["))[0] in known and "][" in parts[2]:
             cure = f"Did you mean '{name.replace('][', ',')}'?"
         plain = without_copies(path, parameters.copies)

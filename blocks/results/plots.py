@@ -267,6 +267,9 @@ def _is_pair(given: object) -> bool:
     return all(isinstance(x, (int, float, np.number)) and math.isfinite(x) for x in given)
 
 
+_NAMED = 'Name what is drawn: bode({"ADRC": L, "PID": other}), results.plot(label="ADRC", beside={"PID": other}).'
+
+
 def check_look(look: Look, count: int) -> None:
     """Refuse a look that does not fit a figure with this number of panels (E501)."""
 
@@ -276,6 +279,7 @@ def check_look(look: Look, count: int) -> None:
 
     for key in look.keys() - Look.__annotations__.keys():
         cure = did_you_mean(key, Look.__annotations__) or f"Options: {', '.join(Look.__annotations__)}."
+        cure = _NAMED if key in ("label", "labels", "legend", "names") else cure
         raise UsageError(Fault("E501", f"plot({key}=)", "there is no such option.", cure))
     if "size" in look and not (_is_pair(look["size"]) and min(look["size"]) > 0.1 and max(look["size"]) <= 100):
         refuse("size", "a width and a height in inches, such as (6, 4)")

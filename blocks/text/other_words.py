@@ -5,11 +5,17 @@ Misspelt names need no entry: `did_you_mean` finds these. An entry is for a name
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING
+import difflib
+import functools
+import inspect
+from collections.abc import Callable, Collection, Mapping
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from ..host.ipython_errors import UnknownPort
-from .errors import did_you_mean
+from .errors import Fault, UsageError, did_you_mean
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 ARGUMENTS: Mapping[str, str] = {
     **dict.fromkeys(("stop_time", "t_stop", "t_final", "t_end", "tf", "T", "duration", "final_time", "tstop"), "stop"),
@@ -27,11 +33,23 @@ ARGUMENTS: Mapping[str, str] = {
     **dict.fromkeys(("workers", "n_jobs", "processes"), "threads"),
 }
 """Arguments of runs."""
+ROWS: Mapping[str, str] = dict.fromkeys(("N", "runs", "samples", "size", "trials", "n_runs", "n_samples"), "n")
+"""Arguments of sweeps beyond those of runs."""
+_STARTS = 'Start values are parameters: parameters={"plant.x_start": [1, 0]}.'
+_CURES: Mapping[str, str] = {
+    **dict.fromkeys(("x0", "X0", "y0", "initial", "initial_state", "initial_conditions"), _STARTS),
+    "loop": 'Write diagram.linearizer().loop("control.y").',
+    "pade": 'Write it where the loop is opened: diagram.linearizer().loop("control.y", pade=3).',
+    "set": "Did you mean 'parameters'?",
+    "grid": "Lists of values make a grid.",
+}
+"""Arguments of runs that are written elsewhere."""
 
 _OPTIONS: Mapping[str, str] = {
-    **ARGUMENTS, **dict.fromkeys(("parameters", "parameter", "params", "start_values", "param"), "set"),
-    **dict.fromkeys(("output", "save_as", "csv", "save_csv"), "out"), "show": "plot", "inputs": "input",
-    "measures": "measure", "signals": "log", "type": "kind",
+    **ARGUMENTS, **dict.fromkeys(("parameters", "parameter", "params", "start_values", "param", "x0"), "set"),
+    **dict.fromkeys(("output", "save_as", "csv", "save_csv"), "out"), "inputs": "input", "measures": "measure",
+    "signals": "log", "type": "kind", **dict.fromkeys(("bode", "nyquist", "nichols"), "figure"),
+    **dict.fromkeys(("show", "pdf", "png", "svg"), "plot"),
 }  # fmt: skip
 """Options of the command line, as arguments are written."""
 
@@ -45,7 +63,7 @@ _OTHERWISE: Mapping[str, str] = {
 }
 """What no option does."""
 
-_COMMANDS: Mapping[str, str] = {
+COMMANDS: Mapping[str, str] = {
     **dict.fromkeys(("simulate", "sim", "start"), "run"),
     **dict.fromkeys(("validate", "verify", "lint"), "check"),
     **dict.fromkeys(("dump", "show", "inspect"), "info"),
@@ -54,8 +72,16 @@ _COMMANDS: Mapping[str, str] = {
     "search": "list",
     "montecarlo": "sweep",
     "optimize": "tune",
+    **dict.fromkeys(("codegen", "build", "compile"), "export"),
 }
 """Commands."""
+_LOOPED = "linearize DIAGRAM --loop SIGNAL"
+LINES: Mapping[str, str] = {
+    **dict.fromkeys(("margins", "margin"), _LOOPED),
+    **{name: f"{_LOOPED} --figure {name} --plot {name}.svg" for name in ("bode", "nyquist", "nichols")},
+    "step": "linearize DIAGRAM --from SIGNAL --to SIGNAL --figure step --plot step.svg",
+}
+"""Commands that are options of another one, and how they are written."""
 
 CONDITION_NAMES: Mapping[str, str] = {
     "time": "The time is t.",
@@ -63,26 +89,85 @@ CONDITION_NAMES: Mapping[str, str] = {
 }
 """Names in conditions that are no signals, in small letters, and what to write."""
 
-_PARAMETERS: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("min", "minimum", "low", "lower_limit"), ("lower",)),
-    **dict.fromkeys(("max", "maximum", "high", "upper_limit"), ("upper",)),
-    **dict.fromkeys(("time", "step_time", "t_step", "t0"), ("at",)),
-    **dict.fromkeys(("value", "amplitude", "final", "final_value"), ("after",)),
-    **dict.fromkeys(("initial", "initial_value"), ("before", "y_start")),
-    **dict.fromkeys(("y0", "x0", "ic", "initial_condition"), ("y_start", "x_start")),
-    **dict.fromkeys(("h0", "height"), ("after", "h_start")),
-    **dict.fromkeys(("n", "steps", "delay", "delay_length", "length"), ("samples",)),
-    **dict.fromkeys(("dead_time", "tau", "time_delay"), ("delay", "T")),
-    **dict.fromkeys(("sample_time", "Ts", "dt"), ("period",)),
-    **dict.fromkeys(("cpr", "resolution", "counts"), ("counts_per_turn",)),
-    **dict.fromkeys(("frequency", "freq", "w"), ("omega",)),
-    **dict.fromkeys(("expr", "formula", "fcn"), ("expression",)),
-    **dict.fromkeys(("gain", "K"), ("gains", "k")),
-    "mass": ("m",),
-    **dict.fromkeys(("damping", "d", "b"), ("c",)),
-    **dict.fromkeys(("stiffness", "spring"), ("k",)),
+MEASURE_TYPES: Mapping[str, str] = {
+    **dict.fromkeys(("max", "maximum", "max_error", "max_abs"), "peak"),
+    **dict.fromkeys(("tv", "variation"), "total_variation"),
+    **dict.fromkeys(("ts", "settling"), "settling_time"),
+    **dict.fromkeys(("tr", "rise"), "rise_time"),
+    **dict.fromkeys(("sse", "ess", "final_error"), "steady_state_error"),
+    **dict.fromkeys(("mse", "msq"), "mean_square"),
+    **dict.fromkeys(("energy", "effort", "control_effort"), "ISU"),
 }
-"""Parameters of blocks; the first that a block has is meant."""
+"""Types of measures, in lower case."""
+
+RUN_KEYS: Mapping[str, str] = {
+    word: ours for word, ours in ARGUMENTS.items() if ours not in ("parameters", "measures", "threads")
+}
+"""Keys of "run" in a file."""
+MEASURE_KEYS: Mapping[str, str] = {
+    **dict.fromkeys(("signal", "output", "y"), "of"),
+    **dict.fromkeys(("reference", "ref", "setpoint", "target"), "against"),
+    **dict.fromkeys(("start", "begin", "t_start"), "from"),
+    **dict.fromkeys(("stop", "end", "until", "t_end"), "to"),
+    **dict.fromkeys(("tolerance", "tol"), "band"),
+}
+"""Keys of a measure."""
+BODY_KEYS: Mapping[str, str] = {
+    **dict.fromkeys(("connections", "connect", "links", "edges"), "wires"),
+    **dict.fromkeys(("nodes", "components", "systems"), "blocks"),
+    **dict.fromkeys(("simulation", "sim", "settings"), "run"),
+    **dict.fromkeys(("constants", "variables"), "parameters"),
+}
+"""Keys of a diagram."""
+
+MARGIN_TYPES: Mapping[str, str] = {
+    **dict.fromkeys(("gm",), "gain_margin"), **dict.fromkeys(("pm",), "phase_margin"),
+    **dict.fromkeys(("dm",), "delay_margin"), **dict.fromkeys(("sm",), "modulus_margin"),
+    **dict.fromkeys(("wcp", "wgc"), "crossover"), **dict.fromkeys(("bw",), "bandwidth"),
+}  # fmt: skip
+"""Types of margins."""
+
+_PERIOD = ("ts", "dt", "h", "t", "sampletime", "samplingtime", "sampleperiod", "samplingperiod")
+_DELAY = ("delay", "delaytime", "timedelay", "deadtime", "tau", "time")
+_START = ("x0", "y0", "initial", "initialvalue", "initialcondition", "initialstate", "init", "ic")
+PARAMETERS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(_PERIOD, ("period",)),
+    **dict.fromkeys(_DELAY, ("delay",)),
+    "tau": ("delay", "T", "Tf"), "timeconstant": ("T", "Tf"), "t": ("period", "at", "times", "delay"),
+    **dict.fromkeys(("time", "steptime", "tstep", "t0", "start", "starttime"), ("at", "delay")),
+    **dict.fromkeys(("value", "amplitude", "final", "finalvalue"), ("after", "value")),
+    **dict.fromkeys(("initial", "initialvalue"), ("before",)),
+    "h0": ("h_start",), "height": ("after", "h_start"),
+    **dict.fromkeys(("n", "steps", "delaylength", "length"), ("samples",)),
+    **dict.fromkeys(("sigma", "std", "stddev", "stdev", "standarddeviation"), ("deviation",)),
+    **dict.fromkeys(("frequency", "freq", "f", "w"), ("omega",)),
+    **dict.fromkeys(("wc", "omegac"), ("omega_c", "bandwidth")),
+    **dict.fromkeys(("wo", "omegao"), ("omega_o", "bandwidth")),
+    **dict.fromkeys(("wn", "w0", "omegan", "omega0"), ("w", "omega")), "zeta": ("d",),
+    **dict.fromkeys(("cpr", "resolution", "counts"), ("counts_per_turn",)),
+    "numerator": ("num",), "denominator": ("den",),
+    "gain": ("k", "K"), "p": ("kp",), "i": ("ki",), "d": ("kd", "c"), "b": ("c",), "damping": ("c", "d"),
+    "mass": ("m",), "stiffness": ("k",), "spring": ("k",),
+    **dict.fromkeys(("min", "umin", "minimum", "lowerlimit", "low"), ("lower",)),
+    **dict.fromkeys(("max", "umax", "maximum", "upperlimit", "high"), ("upper",)),
+    **dict.fromkeys(("expr", "formula", "equation", "function", "fcn"), ("expression",)),
+    "inputs": ("signs", "operations"), **dict.fromkeys(("breakpoints", "x", "xp"), ("points",)),
+    **dict.fromkeys(("table", "y", "fp"), ("values",)),
+}  # fmt: skip
+"""Parameters of blocks, in small letters without underscores; the first that a block has is meant."""
+_CONVERTED: Mapping[str, tuple[str, str]] = {
+    "ti": ("ki", "ki = kp/Ti"), "td": ("kd", "kd = kp Td"),
+    **dict.fromkeys(("variance", "var"), ("deviation", "deviation, the square root of the variance")),
+}  # fmt: skip
+"""Parameters that are another number here."""
+SAMPLED: Mapping[str, str] = {
+    "LESO": "DiscreteESO",
+    **{name: f"Discrete{name}" for name in ("ADRC", "INLSEF", "INTD", "Integrator", "PID", "SMESO")},
+    **{name: f"Discrete{name}" for name in ("StateObserver", "StateSpace", "TransferFunction")},
+}
+"""The sampled form of a type, by the type in continuous time."""
+TYPES: Mapping[str, str] = {"ADRC": "It is a diagram: `blocks new FILE --adrc` writes it."}
+"""Names that are no block types, and what they are."""
 
 _LOOP = 'diagram.linearizer().loop("control.y")'
 _FROM = "; from blocks.analysis import"
@@ -105,7 +190,7 @@ _ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
         "add_block": "diagram.add(name, block)",
         **dict.fromkeys(("blocks", "keys", "names"), "list(diagram)"),
         "to_dict": "diagram.to_json()",
-        **dict.fromkeys(("to_fmu", "export_fmu"), 'diagram.export("x.fmu")'),
+        **dict.fromkeys(("to_fmu", "export_fmu", "to_c", "codegen", "generate_code"), 'diagram.export("x.fmu")'),
         **_REPORT,
     },
     "Results": {
@@ -114,6 +199,7 @@ _ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
         **dict.fromkeys(("keys", "signals"), "results.names"),
         **dict.fromkeys(("y", "u", "outputs", "inputs"), 'results["plant.y"], by the name of the signal'),
         **dict.fromkeys(("x", "states"), 'results["plant.x"], which must be recorded: log=["plant.x"]'),
+        **dict.fromkeys(("overshoot", "settling_time", "rise_time"), 'results.step_info("plant.y")'),
         "items": "{name: results[name] for name in results}",
         **dict.fromkeys(("to_excel", "to_xlsx", "export"), 'results.to_csv("x.csv"), which spreadsheets open'),
         **_REPORT,
@@ -127,8 +213,11 @@ _ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
         **dict.fromkeys(("mean", "std", "describe"), "sweep.to_pandas().describe(), sweep.quantiles()"),
         **dict.fromkeys(("time", "times"), "sweep.t"),
     },
+    "Margins": {**dict.fromkeys(("plot", "bode"), f"bode(loop), of what margins took{_FROM} bode")},
 }
 """Attributes, by the class of which they are asked."""
+_ITEMS: Mapping[str, str] = {"Diagram": "diagram", "Results": "results"}
+"""What has items by name, by its class."""
 
 _SYSTEMS: Mapping[str, str] = {
     "Diagram": f"Take a linear model of it: {_LOOP}, or diagram.linearize(u, y).",
@@ -140,7 +229,38 @@ _SYSTEMS: Mapping[str, str] = {
 def argument_meant(word: str, known: Collection[str]) -> str:
     """Return a sentence that offers the argument that a word means, else the nearest one, or ""."""
     ours = ARGUMENTS.get(word, "")
-    return f"Did you mean '{ours}'?" if ours in known else did_you_mean(word, known)
+    return f"Did you mean '{ours}'?" if ours in known else _CURES.get(word) or did_you_mean(word, known)
+
+
+def check_arguments(words: Collection[str], meant: Mapping[str, str]) -> None:
+    """Refuse words that mean another argument. Raises UsageError (E501)."""
+    for word in words:
+        if word in meant:
+            raise UsageError(Fault("E501", word, "is not an argument.", f"Did you mean '{meant[word]}'?"))
+
+
+def hinted(**cures: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+    """Make a function refuse arguments that it does not have with a cure. Such a call raises UsageError (E501)."""
+
+    def decorated(function: Callable[_P, _R]) -> Callable[_P, _R]:
+        @functools.wraps(function)
+        def called(*args: _P.args, **words: _P.kwargs) -> _R:
+            try:
+                return function(*args, **words)
+            except TypeError:
+                known = inspect.signature(function).parameters
+                word = next((word for word in words if word not in known), None)
+                if word is None:
+                    raise
+                cure = cures.get(word) or parameter_meant(word, known, (), function.__name__)
+                cure = cure or did_you_mean(word, known)
+                cure = cure or f"Arguments: {', '.join(name for name in known if name != 'self')}."
+                place = f"{function.__name__}({word}=)"
+                raise UsageError(Fault("E501", place, "there is no such argument.", cure)) from None
+
+        return called
+
+    return decorated
 
 
 def option_meant(option: str, known: Collection[str]) -> str:
@@ -160,21 +280,61 @@ def command_meant(word: str, known: Collection[str]) -> str:
     is_fmu = word.lower().endswith(".fmu")
     if is_fmu:
         return f"To see what is in an FMU: blocks fmu info {word}."
-    if "fmu" in known and _COMMANDS.get(word, word) == "info":
+    if "fmu" in known and COMMANDS.get(word, word) == "info":
         return "Of an FMU: blocks fmu info X.fmu. Of a diagram: blocks check X.json."
     if word.lower().endswith(".json"):
         return f"To run a diagram: blocks run {word}."
-    ours = _COMMANDS.get(word, "")
+    if "linearize" in known and word in LINES:
+        return f"Write `blocks {LINES[word]}`."
+    ours = COMMANDS.get(word, "")
     return f"Did you mean '{ours}'?" if ours in known else did_you_mean(word, known)
 
 
-def parameter_meant(word: str, known: Collection[str], inputs: Collection[str]) -> str:
-    """Return a sentence that offers the parameter of a block that a word means, or "". inputs: of the block."""
+def meant_keys(words: Mapping[str, str]) -> dict[str, str]:
+    """Return a sentence for each word that offers the key that it means."""
+    return {word: f'Did you mean "{ours}"?' for word, ours in words.items()}
+
+
+def measure_meant(type_: str) -> str:
+    """Return a sentence that offers the type of measure that a word means, or ""."""
+    ours = MEASURE_TYPES.get(type_.casefold())
+    return f"Did you mean '{ours}'?" if ours else ""
+
+
+def margin_meant(type_: str) -> str:
+    """Return a sentence that offers the type of margin that a word means, or ""."""
+    ours = MARGIN_TYPES.get(type_.casefold())
+    return f'Did you mean "{ours}"?' if ours else ""
+
+
+def parameter_meant(word: str, known: Collection[str], inputs: Collection[str] = (), owner: str = "") -> str:
+    """Return a sentence that offers the parameter that a word means, or "" if it is nearly the name of one.
+
+    known: the parameters of the block; of paths ("plant.x0") the paths of all. inputs, owner: its inputs, its type.
+    """
     if word in inputs:
         return "It is an input: wire a source to it, such as a Constant. Inputs of a diagram are given to its run."
-    ours = next((name for name in _PARAMETERS.get(word, ()) if name in known), "")
-    unit = " It is in rad/s: 50 Hz are 50 rev/s." if ours == "omega" else ""
-    return f"Did you mean '{ours}'?{unit}" if ours else ""
+    block, dot, word = word.rpartition(".")
+    before = f"{block}{dot}"
+    if dot:
+        known = [name.removeprefix(before) for name in known if name.startswith(before)]
+    if difflib.get_close_matches(word.casefold(), [name.casefold() for name in known], n=1, cutoff=0.8):
+        return ""
+    plain = word.casefold().replace("_", "")
+    ours = [name for name in PARAMETERS.get(plain, ()) if name in known][:1]
+    if not ours and plain in _START:
+        ours = [name for name in known if name.endswith("_start") and "." not in name]
+    if ours:
+        unit = " It is in rad/s: 50 Hz are 50 rev/s." if ours == ["omega"] else ""
+        return f"Did you mean {', '.join(repr(before + name) for name in ours)}?{unit}"
+    name, converted = _CONVERTED.get(plain, ("", ""))
+    if name in known:
+        return f"Write {converted}."
+    if plain in _DELAY and owner == "Delay":
+        return "It delays by samples. TransportDelay has a delay in s."
+    if (plain == "period" or plain in _PERIOD) and owner in SAMPLED:
+        return f"{SAMPLED[owner]} has a period."
+    return ""
 
 
 def signal_meant(word: str, known: Collection[str]) -> str:
@@ -203,5 +363,7 @@ class Guided:
                 raise AttributeError(error)
             ours = _ATTRIBUTES.get(kind, {}).get(name, "")
             known = [each for each in dir(type(self)) if not each.startswith("_")]
+            if kind in _ITEMS and name in self:
+                ours = f'{_ITEMS[kind]}["{name}"]'
             cure = f"Write {ours}." if ours else did_you_mean(name, known)
             raise UnknownPort(f"{error}. {cure}".rstrip())

@@ -5,7 +5,10 @@ from __future__ import annotations
 import copy
 import json
 import pickle
+import re
 from collections.abc import Callable
+from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import control
@@ -13,14 +16,22 @@ import numpy as np
 import pandas
 import pytest
 
+import blocks
 from blocks import (
+    ADRC,
+    LESO,
+    PID,
+    Delay,
     Diagram,
+    DiscreteStateObserver,
     Expression,
     FirstOrder,
     Gain,
     Mux,
+    Noise,
     Results,
     Saturation,
+    SecondOrder,
     Sine,
     StateObserver,
     StateSpace,
@@ -28,9 +39,26 @@ from blocks import (
     Sum,
     Sweep,
     Switch,
+    TransportDelay,
+    UsageError,
 )
 from blocks.analysis import bode, margins
+from blocks.cli import COMMANDS as commands
 from blocks.cli import main
+from blocks.library import NAMES
+from blocks.model.diagram_grammar import BODY, MEASURE, MEASURES, RUN
+from blocks.model.study_grammar import MARGINS
+from blocks.text.other_words import (
+    BODY_KEYS,
+    COMMANDS,
+    LINES,
+    MARGIN_TYPES,
+    MEASURE_KEYS,
+    MEASURE_TYPES,
+    PARAMETERS,
+    RUN_KEYS,
+    SAMPLED,
+)
 
 P = control.ss([[0, 1], [-1, -1]], [[0], [1]], [[1, 0]], [[0]])
 
@@ -198,6 +226,44 @@ GUESSES: list[tuple[Callable[[Any, Any, Any], object], str]] = [
     (lambda d, r, s: r.plot("K.y", label={"K.y": "gain"}), 'plot(..., label="kp 800", beside={"kp 400": other})'),
     (lambda d, r, s: r.plot("K.y", beside=r), 'beside={"kp 400": other}'),
     (lambda d, r, s: r.plot("K.y", beside=[r]), 'beside={"kp 400": other}'),
+    (lambda d, r, s: Noise(sigma=0.1), "Did you mean 'deviation'?"),
+    (lambda d, r, s: Noise(variance=0.1), "deviation, the square root of the variance"),
+    (lambda d, r, s: Noise(Ts=0.1), "Did you mean 'period'?"),
+    (lambda d, r, s: DiscreteStateObserver(dt=0.1), "Did you mean 'period'?"),
+    (lambda d, r, s: StateObserver(period=0.1), "DiscreteStateObserver has a period."),
+    (lambda d, r, s: LESO(Ts=0.1), "DiscreteESO has a period."),
+    (lambda d, r, s: StateObserver(P, L=np.ones((2, 1))), "Write StateObserver(A=..., B=..., C=..., D=..., L=..."),
+    (lambda d, r, s: StateSpace(P), 'diagram.add("p", P)'),
+    (lambda d, r, s: Delay(tau=0.1), "TransportDelay has a delay in s."),
+    (lambda d, r, s: Delay(0.1), "Write Delay(period=0.1). It delays by samples. TransportDelay has a delay in s."),
+    (lambda d, r, s: Gain(2.0), "Write Gain(k=2.0)."),
+    (lambda d, r, s: TransportDelay(tau=0.1), "Did you mean 'delay'?"),
+    (lambda d, r, s: PID(Ti=0.1), "Write ki = kp/Ti."),
+    (lambda d, r, s: PID(umax=0.1), "Did you mean 'upper'?"),
+    (lambda d, r, s: Step(final_value=0.1), "Did you mean 'after'?"),
+    (lambda d, r, s: SecondOrder(x0=0.1), "Did you mean 'y_start', 'v_start'?"),
+    (lambda d, r, s: d.run(stop=1, parameters={"G.x0": [1, 0]}), "Did you mean 'G.x_start'?"),
+    (lambda d, r, s: d.sweep({"G.x0": [1.0]}, stop=1), "Did you mean 'G.x_start'?"),
+    (lambda d, r, s: d.run(stop=1, x0=[1, 0]), 'parameters={"plant.x_start": [1, 0]}'),
+    (lambda d, r, s: d.linearize(loop="K.y"), 'diagram.linearizer().loop("control.y")'),
+    (lambda d, r, s: d.linearizer(pade=3), 'loop("control.y", pade=3)'),
+    (lambda d, r, s: d.sweep({"K.k": [1.0]}, 50, stop=1), "Write n=50."),
+    (lambda d, r, s: d.sweep({"K.k": [1.0]}, runs=50, stop=1), "Did you mean 'n'?"),
+    (lambda d, r, s: d.sweep({"K.k": [1.0]}, stop=1, margins="K.y"), "Write margins={name: value}."),
+    (lambda d, r, s: d.sweep({"K.k": [1.0]}, stop=1, margins={"a": {"type": "pm", "loop": "K.y"}}), '"phase_margin"?'),
+    (lambda d, r, s: d.measure("a", "tv", "K.y"), "Did you mean 'total_variation'?"),
+    (lambda d, r, s: d.measure("a", "IAE", "K.y", end=1), "measure(end=): there is no such argument. Did you mean"),
+    (lambda d, r, s: ADRC(order=2, wc=4), "ADRC(wc=): there is no such argument. Did you mean 'omega_c'?"),
+    (lambda d, r, s: ADRC(order=2, Ts=0.1), "DiscreteADRC has a period."),
+    (lambda d, r, s: ADRC(order=2, nothing=0.1), "Arguments: order, b0, omega_c,"),
+    (lambda d, r, s: ADRC(2, 3), "takes from 0 to 1 positional arguments"),
+    (lambda d, r, s: d.G, 'Write diagram["G"].'),
+    (lambda d, r, s: d.to_c("a.c"), 'Write diagram.export("x.fmu").'),
+    (lambda d, r, s: r.overshoot, 'Write results.step_info("plant.y").'),
+    (lambda d, r, s: Diagram.alone(FirstOrder()).run(stop=1, inputs={"u": 1}).y, 'Write results["y"].'),
+    (lambda d, r, s: margins(d.linearizer().loop("K.y")).plot(), "Write bode(loop)"),
+    (lambda d, r, s: bode(d.linearizer().loop("K.y"), labels=["a"]), 'bode({"ADRC": L'),
+    (lambda d, r, s: d.add("M", -np.eye(2)), "Write MatrixGain(K=...)."),
 ]
 
 
@@ -260,6 +326,9 @@ def test_a_model_of_a_saturated_diagram_comes_with_a_warning() -> None:
         (["draw", "--run", "-o", "d.html"], "show the results of `blocks run`: --results FILE"),
         (["simulate"], "Did you mean 'run'?"),
         (["info"], "Of an FMU: blocks fmu info X.fmu. Of a diagram: blocks check X.json."),
+        (["margins", "--loop", "K.y"], "Write `blocks linearize DIAGRAM --loop SIGNAL`. Choose one of"),
+        (["linearize", "--bode"], "Did you mean '--figure'?"),
+        (["run", "--pdf", "a.pdf"], "Did you mean '--plot'?"),
     ],
 )
 def test_the_command_line_knows_the_same_words(
@@ -324,6 +393,61 @@ def test_a_folder_of_fmus_is_looked_at_with_one_command(
 def test_a_search_that_finds_no_name_finds_descriptions(capsys: Any) -> None:
     assert main(["list", "--search", "hysteresis"]) == 0
     assert capsys.readouterr().out.split()[0] == "Relay"
+
+
+def test_a_file_in_the_words_of_other_tools_is_told_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "d.json"
+    path.write_text(
+        """{"format": "blocks-diagram", "version": 3, "connections": {},
+        "blocks": {"control": {"type": "ADRC"}, "G": {"type": "TransferFunction", "parameters": {"numerator": [3]}}},
+        "run": {"t_end": 8},
+        "measures": {"a": {"type": "IAE", "of": "G.y", "reference": 1, "start": 1, "end": 2}}}"""
+    )
+    assert main(["check", str(path)]) == 2
+    told = capsys.readouterr().out
+    assert re.findall(r'Did you mean "?(.*?)"?\?', told) == ["wires", "'num'", "stop", "against", "from", "to"]
+    assert "`blocks new FILE --adrc` writes it." in told
+
+
+def test_each_word_means_something_that_is_there() -> None:
+    assert {*RUN_KEYS.values()} <= {*RUN.keys}
+    assert {*MEASURE_KEYS.values()} <= {*MEASURE.keys}
+    assert {*BODY_KEYS.values()} <= {*BODY.keys}
+    assert {*MEASURE_TYPES.values()} <= {*MEASURES}
+    assert {*MARGIN_TYPES.values()} <= {*MARGINS}
+    assert {*COMMANDS.values()} <= {*commands, "info"}
+    assert {line.partition(" ")[0] for line in LINES.values()} <= {*commands}
+    library = [getattr(blocks, name).declaration.settable for name in NAMES]
+    assert {*chain(*PARAMETERS.values())} <= {*chain(*library), "omega_c", "omega_o"}
+    for sampled in SAMPLED.values():
+        assert "period" in getattr(blocks, sampled).declaration.parameters
+
+
+@pytest.mark.parametrize("name", ["y", "e"])
+def test_an_input_of_a_diagram_reaches_an_input_of_one_element(name: str) -> None:
+    d = Diagram("observer")
+    y = d.input(name)
+    eye = d.add("eye", StateObserver(A=[[-1.0]], B=[[1.0]], C=[[1.0]], D=[[0.0]], L=[[1.0]]))
+    d.wire(eye.u, y)
+    d.wire(eye.y, name)
+    x = d.run(stop=2, inputs={name: 1.0}, rtol=1e-9)["eye.xhat"]  # dx/dt = -x + u + (y - x)
+    assert x[-1, 0] == pytest.approx(1 - np.exp(-4.0), abs=1e-8)
+
+
+def test_margins_have_both_spellings_of_their_frequencies(d: Diagram) -> None:
+    L = control.tf([10], [1, 3, 3, 1])
+    gm, pm, sm, wpc, wgc, wms = control.stability_margins(L)
+    found = margins(L)
+    assert (found.gm, found.pm, found.sm) == pytest.approx((gm, pm, sm))
+    assert (found.wpc, found.wgc, found.wms) == pytest.approx((wpc, wgc, wms), rel=1e-6)
+    assert (found.wcg, found.wcp) == (found.wpc, found.wgc)
+
+
+def test_an_input_of_a_subdiagram_is_no_signal_of_a_linear_model(d: Diagram) -> None:
+    d.add("inner", loop())
+    d.wire("inner.r", "K.y")
+    with pytest.raises(UsageError, match=r"name its source, or an input inside, such as inner\.e\.u1"):
+        d.linearize("inner.r", "G.y")
 
 
 def test_a_property_that_fails_says_why() -> None:
