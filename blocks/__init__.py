@@ -81,17 +81,22 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"blocks.{_PLACES[name]}"), name)
     if name in NAMES:
         return getattr(import_module("blocks.library"), name)
-    message = f"module 'blocks' has no attribute {name!r}. {_meant(name)}".rstrip()
+    meant = _meant(name)
+    message = f"module 'blocks' has no attribute {name!r}. {meant}".rstrip()
     # `from blocks import name` asks here first, but the ImportError that it makes of an AttributeError has no hint.
-    if sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap" and name[:1].isupper():
+    if sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap" and (meant or name[:1].isupper()):
         raise ImportError(message, name=__name__)
     raise AttributeError(message)
 
 
 def _meant(name: str) -> str:
-    """Return a hint for a name that blocks does not have: a term of Simulink, or a misspelt one."""
+    """Return a hint for a name that blocks does not have: a term of Simulink, of the analysis, or misspelt."""
     if not name[:1].isupper():
-        return ""
+        from importlib import import_module
+        from importlib.util import find_spec
+
+        is_of_analysis = name in import_module("blocks.analysis").__all__ and find_spec(f"blocks.{name}") is None
+        return f"Write from blocks.analysis import {name}." if is_of_analysis else ""
     from .model.simulink import hint
     from .text.errors import did_you_mean
 

@@ -8,6 +8,7 @@ Linear models themselves come from `Diagram.linearize` and `Diagram.linearizer`.
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 _PLACES = {
@@ -46,7 +47,16 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"blocks.{_PLACES[name]}"), name)
     if name == "describing":
         return import_module("blocks.frequency.describing")
-    raise AttributeError(f"module 'blocks.analysis' has no attribute {name!r}")
+    from importlib.util import find_spec
+
+    from ..text.other_words import analysis_meant
+
+    message = f"module 'blocks.analysis' has no attribute {name!r}. {analysis_meant(name, __all__)}".rstrip()
+    # As in `blocks`, where Python's own ImportError has no hint. Modules are imported after an AttributeError.
+    is_import = sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap"
+    if is_import and not name.startswith("_") and find_spec(f"{__name__}.{name}") is None:
+        raise ImportError(message, name=__name__)
+    raise AttributeError(message)
 
 
 def __dir__() -> list[str]:

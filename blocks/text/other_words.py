@@ -219,6 +219,14 @@ _ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
 _ITEMS: Mapping[str, str] = {"Diagram": "diagram", "Results": "results"}
 """What has items by name, by its class."""
 
+_ANALYSES: Mapping[str, str] = {
+    **dict.fromkeys(("margin", "stability_margins"), "margins(loop)"),
+    "step_info": 'diagram.run(stop=10).step_info("plant.y")',
+    **dict.fromkeys(("step_response", "forced_response"), "diagram.run(stop=10)"),
+    "linearize": "diagram.linearize(u, y)",
+}
+"""Functions of python-control."""
+
 _SYSTEMS: Mapping[str, str] = {
     "Diagram": f"Take a linear model of it: {_LOOP}, or diagram.linearize(u, y).",
     "Linearizer": 'Name the signals: linearizer.loop("control.y"), or linearizer.model(u, y).',
@@ -335,6 +343,11 @@ def parameter_meant(word: str, known: Collection[str], inputs: Collection[str] =
     if (plain == "period" or plain in _PERIOD) and owner in SAMPLED:
         return f"{SAMPLED[owner]} has a period."
     return ""
+
+
+def analysis_meant(word: str, known: Collection[str]) -> str:
+    """Return a sentence that offers what a name that blocks.analysis lacks means, else the nearest name, or ""."""
+    return f"Write {_ANALYSES[word]}." if word in _ANALYSES else did_you_mean(word, known)
 
 
 def signal_meant(word: str, known: Collection[str]) -> str:

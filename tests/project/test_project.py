@@ -53,6 +53,21 @@ def test_a_name_that_is_not_there_comes_with_its_equivalent_or_the_nearest_name(
         exec("from blocks import nothing")
 
 
+def test_names_of_the_analysis_are_offered_where_they_are_missed() -> None:
+    with pytest.raises(ImportError, match=r"'margins'\. Write from blocks\.analysis import margins\.$"):
+        exec("from blocks import margins")
+    with pytest.raises(AttributeError, match=r"Write from blocks\.analysis import bode\."):
+        _ = blocks.bode  # type: ignore[attr-defined]
+    with pytest.raises(ImportError, match=r"has no attribute 'nyquist_plot'\. Did you mean 'nyquist'\?"):
+        exec("from blocks.analysis import nyquist_plot")
+    with pytest.raises(ImportError, match=r"has no attribute 'margin'\. Write margins\(loop\)\.$"):
+        exec("from blocks.analysis import margin")
+    from blocks import compare  # a module, and a function of the analysis
+    from blocks.analysis import loop_maps  # a module, beside the function loop_map
+
+    assert (compare.__name__, loop_maps.__name__) == ("blocks.compare", "blocks.analysis.loop_maps")
+
+
 def test_rooms_above_are_called_by_name_from_one_place() -> None:
     """Imports by name are no way around the floors: rooms stand in api/late.py, modules that users name elsewhere."""
     found = {
