@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .api.diagram import subdiagram as subdiagram
     from .api.prepared_model import PreparedModel as PreparedModel
     from .api.run import Run as Run
+    from .api.simulink_import import from_simulink as from_simulink
     from .contract.block import Block as Block
     from .editing.applying import edit_file as edit_file
     from .model.fmu_block import fmu as fmu
@@ -61,6 +62,7 @@ _PLACES = {
     "edit_file": "editing.applying",
     "event_time": "contract.equations",
     "fmu": "model.fmu_block",
+    "from_simulink": "api.simulink_import",
     "local": "contract.equations",
     "output": "contract.equations",
     "pick": "contract.table_lookup",

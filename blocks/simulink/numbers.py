@@ -1,0 +1,225 @@
+"""The numbers of a model: its variables, and its expressions as values of a diagram file that stay tunable."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..host.plain_files import opened
+from ..text.errors import Fault, UsageError
+from .matlab import Unread, Value, assignments, evaluate, names_in
+from .matlab_functions import NoValue
+from .tree import Model
+
+_NAME = re.compile(r"[A-Za-z]\w*")
+_FORMULA = re.compile(r"[\w.\s+\-*/()^]+")
+_LIST = re.compile(r"\[([^\[\]();'{}]*)\]")
+_RESERVED = frozenset({"index", "copies", "and", "or", "not", "t"})
+MOST_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """A number as a diagram file has it. json: a number, or an expression "=kp". value: NaN where it is unknown."""
+
+    json: Any
+    value: float
+
+
+class Unknown(Exception):
+    """An expression has no value, or none that a diagram can hold. names: the variables that are not known."""
+
+    def __init__(self, why: str, names: Sequence[str] = ()) -> None:
+        super().__init__(why)
+        self.names = tuple(names)
+
+
+def read_workspace(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Value], list[tuple[str, Unread]]]:
+    """Return the variables of .mat files and of the plain assignments in .m files, and what was not read of these.
+
+    Raises UsageError (E501) for a file that cannot be read.
+    """
+    known: dict[str, Value] = {}
+    rest: list[tuple[str, Unread]] = []
+    for each in files:
+        path = Path(each)
+        try:
+            if path.suffix == ".mat":
+                known |= _of_mat(path)
+            else:
+                with opened(path) as stream:
+                    text = stream.read(MOST_BYTES).decode("utf-8", "replace")
+                known, unread = assignments(text, known)
+                rest += [(path.name, one) for one in unread]
+        except (OSError, ValueError, NotImplementedError) as error:
+            what = getattr(error, "strerror", None) or " ".join(str(error).split())[:200] or type(error).__name__
+            cure = "Save the variables by save(name, '-v7')." if path.suffix == ".mat" else "Check the path."
+            raise UsageError(Fault("E501", str(path), f"the variables cannot be read: {what}.", cure)) from None
+    return known, rest
+
+
+def _of_mat(path: Path) -> dict[str, Value]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        with opened(path) as stream:
+            held = loadmat(stream, struct_as_record=False)
+    except (MatReadError, TypeError, KeyError, IndexError, EOFError) as error:
+        raise ValueError(f"it is no MAT file that can be read ({type(error).__name__})") from None
+    values = {name: _of_object(value) for name, value in held.items() if not name.startswith("__")}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _of_object(held: Any) -> Value | None:
+    """Return what a MAT file holds as a value of an expression; None for what has none."""
+    if not isinstance(held, np.ndarray):
+        return None
+    if held.dtype.kind in "US" and held.size == 1:
+        return str(held.reshape(-1)[0])
+    if held.ndim == 2 and held.dtype.kind in "biuf":
+        return held if held.dtype.kind == "b" else held.astype(float)
+    if held.dtype == object and held.size == 1 and hasattr(inner := held.reshape(-1)[0], "_fieldnames"):
+        fields = {name: _of_object(getattr(inner, name)) for name in inner._fieldnames}
+        return {name: value for name, value in fields.items() if value is not None}
+    return None
+
+
+def variables(model: Model, base: Mapping[str, Value]) -> tuple[dict[str, Value], list[tuple[str, Unread]]]:
+    """Return the variables that a model sees: of the base workspace, of its callbacks, and its own, which are first."""
+    known, rest = dict(base), []
+    for name in ("PreLoadFcn", "InitFcn"):
+        known, unread = assignments(model.callbacks.get(name, ""), known)
+        rest += [(name, one) for one in unread]
+    if model.workspace:
+        known, unread = assignments(model.workspace, known)
+        rest += [("the model workspace", one) for one in unread]
+    return known, rest
+
+
+@dataclass(slots=True)
+class Scope:
+    """The variables that a system sees. own: the expressions of its mask, which its parent evaluates.
+
+    used: the scalars that its diagram takes as parameters. missing: names without a value, by use.
+    """
+
+    known: Mapping[str, Value]
+    own: Mapping[str, str] = field(default_factory=dict)
+    used: dict[str, float] = field(default_factory=dict)
+    missing: dict[str, None] = field(default_factory=dict)
+
+    def inner(self, own: Mapping[str, str], code: str = "") -> Scope:
+        """Return the scope of a masked subsystem: its mask's parameters, and what the code of the mask assigns."""
+        known = dict(self.known)
+        for name, text in own.items():
+            known.pop(name, None)
+            try:
+                known[name] = evaluate(text, self.known)
+            except NoValue:
+                if text and "=" not in text:
+                    known.setdefault(name, text)  # a choice of a list, as text
+        if code:
+            known, _ = assignments(code, known)
+        plain = {name: text for name, text in own.items() if not isinstance(known.get(name), str)}
+        return Scope(known, {name: text for name, text in plain.items() if _same(known, name, text, self.known)})
+
+    def value(self, text: str) -> Value:
+        """Return the value of an expression. Raises Unknown."""
+        try:
+            return evaluate(text, self.known)
+        except NoValue as none:
+            if none.name:
+                self.missing[none.name] = None
+            raise Unknown(f"{text.strip()[:80]!r} has no value: {none}", [none.name] if none.name else []) from None
+
+    def raw(self, text: str) -> Raw:
+        """Return a number as the diagram has it: variables that it names become parameters. Raises Unknown."""
+        text = text.strip()
+        names = [name for name in names_in(text) if name != "pi"] if _FORMULA.fullmatch(text) else []
+        calls = re.search(r"\w\s*\(", text) is not None
+        if names and not calls and text.count("^") < 2 and not _RESERVED.intersection(names):
+            held = {name: self.known.get(name) for name in names}
+            unknown = [name for name, value in held.items() if value is None]
+            if all(value is None or _is_scalar(value) for value in held.values()):
+                formula = text if _NAME.fullmatch(text) else re.sub(r"\s+", " ", text.replace("^", "**"))
+                value = math.nan
+                if unknown:
+                    self.missing |= dict.fromkeys(unknown)
+                else:
+                    value = _number(self.value(text), text)
+                self.used |= {name: _number(held[name], name) for name in names if name not in unknown}
+                return Raw(f"={formula}", value)
+        value = _number(self.value(text), text)
+        if "/" in text and not names and not calls and _FORMULA.fullmatch(text) and "^" not in text:
+            return Raw(f"={text}", value)  # 1/3 stays exact
+        return Raw(_json(value), value)
+
+    def raws(self, text: str) -> list[Raw]:
+        """Return the elements of a row, of a column or of one number. Raises Unknown."""
+        text = text.strip()
+        listed = _LIST.fullmatch(text)
+        if listed and re.fullmatch(r"[\w.\s,+\-]*", listed[1]) and not re.search(r"[\w)]\s*[+-]", listed[1]):
+            parts = [part for part in re.split(r"[\s,]+", listed[1].strip()) if part]
+            known = [self.known.get(part.lstrip("+-")) for part in parts]
+            if all(value is None or _is_scalar(value) for value in known):
+                return [self.raw(part) for part in parts]
+        if _NAME.fullmatch(text) and (text not in self.known or _is_scalar(self.known[text])):
+            return [self.raw(text)]
+        value = self.matrix(text)
+        if 1 not in value.shape and value.size:
+            raise Unknown(f"{text[:80]!r} is a matrix, and one row is needed")
+        return [self.raw(text)] if value.size == 1 else [Raw(_json(float(one)), float(one)) for one in value.ravel()]
+
+    def matrix(self, text: str) -> Any:
+        """Return an expression as a matrix of floats. Raises Unknown."""
+        value = self.value(text)
+        if not isinstance(value, np.ndarray):
+            raise Unknown(f"{text.strip()[:80]!r} is no number")
+        if not np.all(np.isfinite(value) | np.isinf(value)):
+            raise Unknown(f"{text.strip()[:80]!r} is not a number (NaN)")
+        return value.astype(float)
+
+    def handed(self, name: str, outer: Scope) -> Any:
+        """Return what an entry in the outer diagram gives to a parameter of this one; None: nothing, it is inside."""
+        text = self.own.get(name)
+        if text is None:
+            if not np.array_equal(outer.known.get(name, ""), self.known.get(name, "")):  # type: ignore[arg-type]
+                return None
+            text = name
+        try:
+            return outer.raw(text).json
+        except Unknown:
+            return None
+
+
+def _same(known: Mapping[str, Value], name: str, text: str, outer: Mapping[str, Value]) -> bool:
+    """Return whether a parameter of a mask still has the value of its expression after the mask's code."""
+    try:
+        return name not in known or bool(np.array_equal(known[name], evaluate(text, outer)))  # type: ignore[arg-type]
+    except NoValue:
+        return name not in known
+
+
+def _is_scalar(value: object) -> bool:
+    return isinstance(value, np.ndarray) and value.size == 1 and bool(np.all(np.isfinite(value)))
+
+
+def _number(value: Value | None, text: str) -> float:
+    if not isinstance(value, np.ndarray) or value.size != 1:
+        raise Unknown(f"{text[:80]!r} is no single number")
+    number = float(np.reshape(value, -1)[0])
+    if math.isnan(number):
+        raise Unknown(f"{text[:80]!r} is not a number (NaN)")
+    return number
+
+
+def _json(value: float) -> float | int:
+    return int(value) if abs(value) < 2**53 and value == int(value) else value

@@ -1,0 +1,596 @@
+"""A system of a model as a diagram: each block by its rule, until sizes and rates stay; then the wires.
+
+A rule says what a block becomes, given what is known of its inputs. It runs again when more is known of them.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from .matlab_functions import NoValue
+from .numbers import Raw, Scope, Unknown
+from .signals import (
+    CONSTANT,
+    CONTINUOUS,
+    Attr,
+    Note,
+    Out,
+    Own,
+    Part,
+    Rate,
+    Reading,
+    Wire,
+    joined,
+    outputs_of,
+    passed_on,
+    rate_of,
+)
+from .tree import Block, End, Model, System
+
+Rule = Callable[["At"], None]
+MOST_ROUNDS = 60
+ENDLESS = 1e100  # what stands for infinity in a diagram
+FIELDS = {"CopyFcn", "DeleteFcn"}
+_SCALE = 1.35  # of positions: blocks of a diagram have their names inside or beside them, and are wider
+
+
+class Refused(Exception):
+    """A block, or an option of it, that has no equal here. cure: what the user can do."""
+
+    def __init__(self, why: str, cure: str = "") -> None:
+        super().__init__(why)
+        self.cure = cure
+
+
+@dataclass(slots=True)
+class Mapped:
+    """A system as the body of a diagram. outs: of its Outports, by number. used: parameters that it takes."""
+
+    body: dict[str, Any]
+    outs: dict[str, Attr]
+    scope: Scope
+    used: list[str]
+    names: Mapping[str, str]
+    notes: list[tuple[Block, Note]]
+    log: list[str]
+    stops: list[str]
+    is_late: bool
+
+
+@dataclass(slots=True)
+class Context:
+    """What all systems of one import share. fallback: the sample time where none is inherited."""
+
+    model: Model
+    rule_of: Callable[[Block], Rule | None]
+    open_model: Callable[[str], Model | None]
+    fallback: Raw | None = None
+    kept: dict[Any, Mapped] = field(default_factory=dict)
+    depth: int = 0
+
+    def inside(self, model: Model) -> Context:
+        return replace(self, model=model)
+
+
+@dataclass(slots=True)
+class Drawing:
+    """A system while it is mapped."""
+
+    context: Context
+    system: System
+    scope: Scope
+    inputs: Mapping[str, Attr]
+    names: dict[str, str]
+    drivers: dict[Reading, End]
+    labels: dict[tuple[str, str], str]  # names of lines, by the port at which they begin
+    parts: dict[str, Part] = field(default_factory=dict)
+
+    def attr(self, reading: Reading) -> Attr:
+        """Return what is known of the signal at an input; nothing that is wired is a constant 0."""
+        end = self.drivers.get(reading)
+        if end is None:
+            return Attr(rate=CONSTANT)
+        part = self.parts.get(end.block)
+        out = None if part is None else part.outs.get(end.port)
+        return Attr() if out is None else out.attr
+
+    def sources(self, source: str | Own, attr: Attr | None = None, depth: int = 0) -> list[tuple[str, bool]] | None:
+        """Return the source of each element and whether it is a bool; None where nothing is wired."""
+        if not isinstance(source, Own):
+            return [(source, bool(attr and attr.is_bool))]
+        out = self._driving(source.reading)
+        if out is None or depth > len(self.parts):
+            return None
+        chosen = out.elements if source.element is None else out.elements[source.element : source.element + 1]
+        found: list[tuple[str, bool]] = []
+        for each in chosen:
+            more = self.sources(each, out.attr, depth + 1)
+            if more is None:
+                return None
+            found += more
+        return found
+
+    def whole(self, source: str | Own, attr: Attr | None = None, depth: int = 0) -> tuple[str, bool] | None:
+        """Return the one source of all elements, or None if there is none."""
+        if not isinstance(source, Own):
+            return source, bool(attr and attr.is_bool)
+        out = self._driving(source.reading)
+        if out is None or source.element is not None or out.whole is None or depth > len(self.parts):
+            return None
+        return self.whole(out.whole, out.attr, depth + 1)
+
+    def _driving(self, reading: Reading) -> Out | None:
+        end = self.drivers.get(reading)
+        part = None if end is None else self.parts.get(end.block)
+        return None if part is None or end is None else part.outs.get(end.port)
+
+
+class At:
+    """A block while its rule runs: its parameters, what is known of its inputs, and the part that it becomes."""
+
+    def __init__(self, drawing: Drawing, block: Block) -> None:
+        self.drawing, self.block, self.part = drawing, block, Part()
+        self.name, self.scope, self.context = drawing.names[block.name], drawing.scope, drawing.context
+
+    # --- what the model says ---------------------------------------------------------------------------------------
+
+    def text(self, key: str, default: str = "") -> str:
+        value = self.context.model.value(self.block, key)
+        return default if value is None else value
+
+    def raws(self, key: str, default: str) -> list[Raw]:
+        return self.scope.raws(self.text(key, default) or default)
+
+    def raw(self, key: str, default: str) -> Raw:
+        found = self.raws(key, default)
+        if len(found) != 1:
+            raise Refused(f"{key} has {len(found)} elements, and one is needed")
+        return found[0]
+
+    def matrix(self, key: str, default: str) -> Any:
+        return self.scope.matrix(self.text(key, default) or default)
+
+    def whole_number(self, key: str, default: str, most: int = 10_000) -> int:
+        value = self.raw(key, default).value
+        if not value == value or value != int(value) or not 0 <= value <= most:
+            raise Refused(f"{key} is no whole number up to {most:,}")
+        return int(value)
+
+    def is_on(self, key: str, default: str = "off") -> bool:
+        return self.text(key, default) == "on"
+
+    def attr(self, port: str | int) -> Attr:
+        return self.drawing.attr((self.block.name, str(port)))
+
+    def count(self, default: int = 1) -> int:
+        """Return the number of inputs: as the file counts them, or as many as are wired."""
+        wired = [int(port) for name, port in self.drawing.drivers if name == self.block.name and port.isdecimal()]
+        return self.block.ports.get("in", max(wired, default=default))
+
+    def is_wired(self, port: str) -> bool:
+        return (self.block.name, port) in self.drawing.drivers
+
+    def own_rate(self, key: str = "SampleTime", default: str = "-1") -> Rate | None:
+        """Return the sample time of the block; None where it is inherited."""
+        given = self.raws(key, default)
+        if len(given) > 2 or not given:
+            raise Refused(f"{key} is no sample time")
+        period, offset = given[0], given[1].value if len(given) == 2 else 0.0
+        if period.value == -1 or (period.value <= 0 and offset < 0):
+            return None
+        if period.value == 0:
+            return CONTINUOUS
+        if period.value < 0 or not offset == offset or offset < 0:
+            raise Refused(f"{key} is {self.text(key, default)!r}: a sample time that changes", "Give it one period.")
+        return CONSTANT if period.value == float("inf") else rate_of(period, offset)
+
+    def inherited(self, ports: Iterable[str | int] | None = None) -> Rate | None:
+        return joined([self.attr(port).rate for port in ports or range(1, self.count() + 1)])
+
+    def ticks(self, key: str = "SampleTime", default: str = "-1", ports: Iterable[str | int] | None = None) -> Rate:
+        """Return the rate of a sampled block, its own or inherited."""
+        rate = self.own_rate(key, default) or self.inherited(ports)
+        if rate is not None and (rate.is_sampled or rate.period != rate.period):
+            return rate
+        self.part.is_late = True
+        given = self.context.fallback or Raw(1, 1.0)
+        kind = "that of a continuous signal" if rate == CONTINUOUS else "inherited, and nothing gives one"
+        self.note("decided", f"its sample time is {kind}: {given.json} s is taken", "Set its period.")
+        return Rate(given.value, 0.0, given.json)
+
+    def is_read(self, port: str) -> bool:
+        """Return whether a line begins at an output."""
+        return any(end.block == self.block.name and end.port == port for end in self.drawing.drivers.values())
+
+    # --- what it becomes -------------------------------------------------------------------------------------------
+
+    def add(self, kind: str, suffix: str = "", n: int = 1, /, **parameters: Any) -> str:
+        """Add a block and return its name; parameters that are None are left out."""
+        name = self.name + suffix
+        entry: dict[str, Any] = {"type": kind}
+        given = {key: value for key, value in parameters.items() if value is not None}
+        if n > 1:
+            entry["copies"] = n
+        if given:
+            entry["parameters"] = given
+        self.part.blocks[name] = entry
+        return name
+
+    def own(self, port: str | int, element: int | None = None) -> Own:
+        return Own((self.block.name, str(port)), element)
+
+    def wire(
+        self, sink: str, source: str | Own | int, n: int = 1, *, is_bool: bool = False, is_vector: bool = False
+    ) -> None:
+        """Wire an input of the diagram; a number is an input of the model's block."""
+        self.part.wires.append(
+            Wire(sink, self.own(source) if isinstance(source, int) else source, n, is_bool, is_vector)
+        )
+
+    def out(self, port: str, rate: Rate | None, n: int = 1, number: str | int = 1, **more: Any) -> None:
+        """Say which port of the diagram the output of a number is."""
+        is_vector = more.pop("is_vector", False)
+        self.part.outs[str(number)] = outputs_of(port, Attr(n, rate=rate, **more), is_vector=is_vector)
+
+    def pass_on(self, port: str | int = 1, number: str | int = 1, **more: Any) -> None:
+        """Say that an output is an input of the block."""
+        attr = replace(self.attr(port), **more)
+        self.part.outs[str(number)] = passed_on((self.block.name, str(port)), attr)
+
+    def note(self, kind: str, what: str, cure: str = "") -> None:
+        self.part.notes.append(Note(kind, what, cure))
+
+    def width(self, *lists: Sequence[Raw], ports: Iterable[str | int] | None = None, least: int = 1) -> int:
+        """Return the number of elements of a block that works on each: the largest of its inputs and parameters."""
+        sizes = [self.attr(port).n for port in (range(1, self.count() + 1) if ports is None else ports)]
+        sizes += [len(each) for each in lists]
+        n = max([*sizes, least])
+        if any(size not in (1, n) for size in sizes):
+            raise Refused(f"its inputs and parameters have {', '.join(map(str, sizes))} elements")
+        return n
+
+    def per_copy(self, given: Sequence[Raw], n: int, *, limit: bool = False) -> Any:
+        """Return a parameter of a block that has n copies: one value, or a value for each. limit: inf is none."""
+        if limit and all(abs(one.value) == float("inf") for one in given):
+            return None
+        values = [
+            one.json if abs(one.value) != float("inf") else ENDLESS * (1 if one.value > 0 else -1) for one in given
+        ]
+        if not limit and any(abs(one.value) == float("inf") for one in given):
+            raise Refused("a parameter is infinite", "Give it a finite value.")
+        return values[0] if len(values) == 1 or n == 1 else values
+
+    def each(
+        self,
+        kind: str,
+        /,
+        ports: Mapping[str, int | str] | None = None,
+        lists: Mapping[str, Sequence[Raw]] | None = None,
+        *,
+        rate: Rate | None = None,
+        port: str = "y",
+        suffix: str = "",
+        bools: Iterable[str] = (),
+        is_bool: bool = False,
+        limits: Iterable[str] = (),
+        number: int = 1,
+        n: int = 1,
+        **parameters: Any,
+    ) -> str:
+        """Add a block that works on each element, with copies where there are several; returns its name.
+
+        ports: the sources of its inputs: numbers of inputs of the model's block, or ports of the diagram. n: the
+        least number of elements. lists: its parameters with
+        a value for each element. limits: those of them that may be infinite. bools: its ports that take truth values.
+        """
+        ports, lists = {"u": 1} if ports is None else ports, lists or {}
+        n = self.width(*lists.values(), ports=[one for one in ports.values() if isinstance(one, int)], least=n)
+        given = {key: self.per_copy(one, n, limit=key in limits) for key, one in lists.items()}
+        name = self.add(kind, suffix, n, **given, **parameters)
+        for sink, source in ports.items():
+            self.wire(f"{name}.{sink}", source, n, is_bool=sink in bools)
+        if rate is None:
+            rate = joined([self.attr(one).rate for one in ports.values() if isinstance(one, int)])
+        self.out(f"{name}.{port}", rate, n, number, is_bool=is_bool)
+        return name
+
+    def hold(self, key: str = "SampleTime", number: str | int = 1) -> None:
+        """Hold the output from tick to tick if the block has a sample time of its own."""
+        rate = self.own_rate(key)
+        out = self.part.outs.get(str(number))
+        if rate is None or out is None or not rate.is_sampled or out.attr.rate in (rate, CONSTANT):
+            return
+        source, n = out.whole, out.attr.n
+        assert isinstance(source, str)
+        if out.attr.is_bool:
+            raise Refused("a truth value that is sampled", "Sample its inputs.")
+        name = self.add("ZeroOrderHold", "_hold", n, period=rate.json, offset=rate.offset or None)
+        self.wire(f"{name}.u", source, n)
+        self.out(f"{name}.y", rate, n, number)
+
+
+# --- the whole system ----------------------------------------------------------------------------------------------
+
+
+def map_system(context: Context, system: System, scope: Scope, inputs: Mapping[str, Attr]) -> Mapped:
+    """Return a system as the body of a diagram. inputs: what is known of its Inports, by number."""
+    reserved: set[str] = set()
+    for _ in range(3):
+        drawing = _drawn(context, system, scope, inputs, reserved)
+        mapped = _linked(drawing)
+        taken = {*mapped.used, *scope.missing}
+        if not taken & {*mapped.body.get("blocks", ()), *mapped.body.get("inputs", ())}:
+            break
+        reserved = taken
+    return mapped
+
+
+def _drawn(context: Context, system: System, scope: Scope, inputs: Mapping[str, Attr], reserved: set[str]) -> Drawing:
+    blocks = {name: block for name, block in system.blocks.items() if block.values.get("Commented", "off") == "off"}
+    drivers: dict[Reading, End] = {}
+    labels: dict[tuple[str, str], str] = {}
+    around = {name: block for name, block in system.blocks.items() if block.values.get("Commented") == "through"}
+    for line in system.lines:
+        if line.source is None:
+            continue
+        if line.name:
+            labels[line.source.block, line.source.port] = line.name
+        for target in line.targets:
+            drivers[target.block, target.port] = line.source
+    for name in around:
+        for reading, end in list(drivers.items()):
+            if end.block == name:
+                before = drivers.get((name, end.port))
+                if before is None:
+                    del drivers[reading]
+                else:
+                    drivers[reading] = before
+    drivers = {reading: end for reading, end in drivers.items() if end.block in blocks}
+    drawing = Drawing(context, system, scope, inputs, _names(blocks, reserved), drivers, labels)
+    seen: dict[str, object] = {}
+    for _ in range(MOST_ROUNDS):
+        changed = False
+        for name, block in blocks.items():
+            readings = [reading for reading in drivers if reading[0] == name]
+            state = tuple(drawing.attr(reading) for reading in readings) if block.type != "From" else object()
+            if name in seen and seen[name] == state:
+                continue
+            seen[name] = state
+            part = _part(drawing, block)
+            old = drawing.parts.get(name)
+            drawing.parts[name] = part
+            changed |= old is None or old.outs != part.outs
+        if not changed:
+            return drawing
+    return drawing
+
+
+def _part(drawing: Drawing, block: Block) -> Part:
+    rule = drawing.context.rule_of(block)
+    at = At(drawing, block)
+    try:
+        if rule is None:
+            raise Refused(f"no equal of {_kind(block)} here", "Write it as a block of your own.")
+        rule(at)
+    except (Refused, Unknown, NoValue) as refused:
+        cure = getattr(refused, "cure", "") or ""
+        names = getattr(refused, "names", ())
+        kind = "unknown" if names else "left out"
+        if names:
+            cure = f"Give {', '.join(names)} by --workspace."
+        at = At(drawing, block)
+        _empty(at, f"{refused}.", cure)
+        at.note(kind, f"{refused}", cure)
+    return at.part
+
+
+def _kind(block: Block) -> str:
+    return (block.values.get("SourceType") or block.values.get("SourceBlock") or block.type).replace("\n", " ")
+
+
+def _empty(at: At, why: str, cure: str) -> None:
+    """Add a block of a type that does not exist, with the ports of the model's block: check names it."""
+    kind = re.sub(r"\W", "", _kind(at.block).rpartition("/")[2].title()) or "Block"
+    name = at.add(f"{kind}ToWrite")
+    text = at.block.script or at.block.values.get("FunctionName", "")
+    at.part.blocks[name]["doc"] = " ".join(part for part in (why, cure, text) if part)[:4000]
+    for port in range(1, at.count(0) + 1):
+        at.wire(f"{name}.u{port}", port, at.attr(port).n)
+    for port in range(1, at.block.ports.get("out", 1) + 1):
+        at.out(f"{name}.y{port}", None, number=port)
+
+
+def legal(name: str, taken: set[str]) -> str:
+    """Return a name as diagrams have it, which is not taken yet, and take it."""
+    plain = name
+    for letter, plainly in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("Ä", "Ae"), ("Ö", "Oe"), ("Ü", "Ue")):
+        plain = plain.replace(letter, plainly)
+    plain = unicodedata.normalize("NFKD", plain).encode("ascii", "ignore").decode()
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:150]
+    if not plain or plain[0].isdigit():
+        plain = f"b{'_' if plain else ''}{plain}"
+    wanted, k = plain, 2
+    while plain in taken:
+        plain, k = f"{wanted}_{k}", k + 1
+    taken.add(plain)
+    return plain
+
+
+def _names(blocks: Mapping[str, Block], reserved: set[str]) -> dict[str, str]:
+    """Return names for blocks; ports of the system come first, because users type their names."""
+    taken = {*reserved, "index", "copies"}
+    order = sorted(blocks, key=lambda name: blocks[name].type not in ("Inport", "Outport"))
+    return {name: legal(name, taken) for name in order}
+
+
+# --- wires -----------------------------------------------------------------------------------------------------------
+
+
+class _Wiring:
+    """The wires of a drawing, and the blocks that they need: a 0, a truth value as a number, a vector of elements."""
+
+    def __init__(self, drawing: Drawing) -> None:
+        self.drawing, self.wires = drawing, {}  # type: Drawing, dict[str, str]
+        self.blocks: dict[str, dict[str, Any]] = {}
+        self.taken = set(drawing.names.values())
+        for part in drawing.parts.values():
+            self.taken |= set(part.blocks)
+        self._made: dict[tuple[str, str], str] = {}
+
+    def add(self, wire: Wire) -> None:
+        drawing = self.drawing
+        if wire.source == "0":
+            self.wires[wire.sink] = self.constant(0)
+            return
+        whole = drawing.whole(wire.source)
+        found = drawing.sources(wire.source) if whole is None or isinstance(wire.source, Own) else [whole]
+        if found is None:
+            found, whole = [(self.constant(0), False)], None
+        is_one = wire.n == 1 and not wire.is_vector
+        if whole is not None and not isinstance(wire.source, Own):
+            self.wires[wire.sink] = self.fitted(*whole, wire.is_bool, wire.n)
+        elif is_one:
+            self.wires[wire.sink] = self.fitted(*found[0], wire.is_bool)
+        elif whole is not None and len(found) == wire.n and "[" not in whole[0]:
+            self.wires[wire.sink] = self.fitted(*whole, wire.is_bool, wire.n)
+        elif len(found) == 1 and not wire.is_vector:
+            self.wires[wire.sink] = self.fitted(*found[0], wire.is_bool)  # one value for all copies
+        else:
+            for i in range(wire.n):
+                self.wires[f"{wire.sink}[{i}]"] = self.fitted(*found[min(i, len(found) - 1)], wire.is_bool)
+
+    def fitted(self, source: str, is_bool: bool, wants_bool: bool, n: int = 1) -> str:
+        """Return a source as a truth value or as a number, by a block in between if need be."""
+        if is_bool == wants_bool:
+            return source
+        key = (source, "bool" if wants_bool else "number")
+        if key not in self._made:
+            base = re.sub(
+                r"\W+",
+                "_",
+                source.partition(".")[0] + source[source.index("[") :] if "[" in source else source.partition(".")[0],
+            ).strip("_")
+            if wants_bool:
+                name = self._block(f"{base}_is_true", "CompareToConstant", n, operator="unequal")
+                self.wires[f"{name}.u"] = source
+            else:
+                name = self._block(f"{base}_number", "Switch", n)
+                self.wires |= {
+                    f"{name}.u1": self.constant(1),
+                    f"{name}.u2": self.constant(0),
+                    f"{name}.control": source,
+                }
+            self._made[key] = f"{name}.y"
+        return self._made[key]
+
+    def constant(self, value: int) -> str:
+        key = ("", str(value))
+        if key not in self._made:
+            self._made[key] = self._block(("zero", "one")[value], "Constant", value=value) + ".y"
+        return self._made[key]
+
+    def one_source(self, source: Own, name: str) -> tuple[str, int]:
+        """Return the one source of a signal, made by a Mux if there is none, and its number of elements."""
+        found = self.drawing.sources(source)
+        if found is None:
+            return self.constant(0), 1
+        whole = self.drawing.whole(source)
+        if whole is not None:
+            return whole[0], len(found)
+        if len(found) == 1:
+            return found[0][0], 1
+        mux = self._block(f"{name}_vector", "Mux", size=len(found))
+        for i, (each, is_bool) in enumerate(found):
+            self.wires[f"{mux}.u{i + 1}"] = self.fitted(each, is_bool, False)
+        return f"{mux}.y", len(found)
+
+    def _block(self, wanted: str, kind: str, n: int = 1, **parameters: Any) -> str:
+        name = legal(wanted, self.taken)
+        self.blocks[name] = (
+            {"type": kind} | ({"copies": n} if n > 1 else {}) | ({"parameters": parameters} if parameters else {})
+        )
+        return name
+
+
+def _linked(drawing: Drawing) -> Mapped:
+    wiring = _Wiring(drawing)
+    body: dict[str, Any] = {"parameters": {}, "inputs": {}, "outputs": {}, "blocks": {}, "wires": {}, "layout": {}}
+    notes: list[tuple[Block, Note]] = []
+    outs: dict[str, Attr] = {}
+    log: list[str] = []
+    stops: list[str] = []
+    is_late = False
+    ends: set[tuple[str, str]] = set()
+    for name, part in drawing.parts.items():
+        block, ours = drawing.system.blocks[name], drawing.names[name]
+        notes += [(block, note) for note in part.notes]
+        is_late |= part.is_late
+        if block.type == "Inport":
+            attr = part.outs["1"].attr
+            entry: dict[str, Any] = {"size": attr.n} if attr.n > 1 else {}
+            body["inputs"][ours] = entry | ({"type": "bool"} if attr.is_bool else {}) | {"default": 0}
+        for key, given in part.blocks.items():
+            body["blocks"][key] = given
+        if ours in part.blocks and ours != name:
+            made = part.blocks[ours]
+            made.setdefault("doc", name)
+        for wire in part.wires:
+            if isinstance(wire.source, Own) and drawing.sources(wire.source) is None:
+                port = wire.source.reading[1]
+                what = (
+                    f"nothing is wired to its input {port}, which is 0 there"
+                    if port.isdecimal()
+                    else f"nothing is wired to {port}"
+                )
+                if (name, port) not in ends:
+                    notes.append((block, Note("decided", f"{what}: a Constant 0", "")))
+                ends.add((name, port))
+            wiring.add(wire)
+        log += [one for reading in part.log for one in _logged(drawing, Own(reading))]
+        for reading in part.stops:
+            found = drawing.sources(Own(reading)) or []
+            stops += [each if is_bool else f"{each} != 0" for each, is_bool in found]
+        if part.inner is not None:
+            log += [f"{ours}.{one}" for one in part.inner.log]
+            stops += [re.sub(r"^", f"{ours}.", one) for one in part.inner.stops]
+            notes += part.inner.notes
+        center = _center(block)
+        if center and (ours in part.blocks or block.type in ("Inport", "Outport")):
+            body["layout"][ours] = center
+    for name in drawing.parts:
+        block = drawing.system.blocks[name]
+        if block.type == "Outport":
+            number, ours = block.values.get("Port", "1"), drawing.names[name]
+            reading = (name, "1")
+            source, _ = wiring.one_source(Own(reading), ours)
+            body["outputs"][ours] = source
+            outs[number] = drawing.attr(reading)
+    body["blocks"] |= wiring.blocks
+    body["wires"] |= wiring.wires
+    shown = repr([*body["blocks"].values()])
+    used = [name for name in drawing.scope.used if re.search(rf"\b{name}\b", shown)]
+    body["parameters"] = {name: _plain(drawing.scope.used[name]) for name in used}
+    body = {key: value for key, value in body.items() if value}
+    return Mapped(body, outs, drawing.scope, used, drawing.names, notes, log, stops, is_late)
+
+
+def _plain(value: float) -> float | int:
+    return int(value) if value == int(value) and abs(value) < 2**53 else value
+
+
+def _logged(drawing: Drawing, source: Own) -> list[str]:
+    whole = drawing.whole(source)
+    found = [whole] if whole is not None else drawing.sources(source) or []
+    return [each for each, _ in found if each]
+
+
+def _center(block: Block) -> list[int]:
+    numbers = [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", block.values.get("Position", ""))]
+    if len(numbers) != 4:
+        return []
+    left, top, right, bottom = numbers
+    return [round(_SCALE * (left + right) / 2), round(_SCALE * (top + bottom) / 2)]
