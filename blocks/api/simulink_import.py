@@ -25,22 +25,26 @@ class FromSimulink(NamedTuple):
 
 
 def from_simulink(
-    path: str | os.PathLike[str], workspace: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = ()
+    path: str | os.PathLike[str],
+    workspace: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    *,
+    folder: str | os.PathLike[str] | None = None,
 ) -> FromSimulink:
     """Make a diagram of a Simulink model, an .slx or .mdl. Nothing in the model is run.
 
         diagram, report = from_simulink("drive.slx", workspace="init.m")
         print(report)
 
-    workspace: .mat files, and .m files with plain assignments, that hold the variables of the model. What has no
-    equal here is a block of a type that does not exist, with the same ports: `check` names it.
+    workspace: .mat files, and .m files with plain assignments, that hold the variables of the model. folder:
+    where the models and libraries lie that it refers to; left out: beside it. What has no equal here is a block of a
+    type that does not exist, with the same ports: `check` names it.
 
     Raises:
         ModelError: E007 for a file that cannot be read, E010 for what is no model of Simulink, or a library.
         UsageError: E501 for a workspace that cannot be read.
     """
     files = [workspace] if isinstance(workspace, (str, os.PathLike)) else [*workspace]
-    made = import_model(path, files)
+    made = import_model(path, files, folder)
     diagram, report = Diagram.from_json(made.document), made.report
     loops = []
     with suppress(ModelError):

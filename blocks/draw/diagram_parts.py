@@ -43,8 +43,10 @@ class Ports:
 
     @classmethod
     def of(cls, interface: Interface) -> Ports:
-        """The ports of a block type whose sizes are known."""
-        inputs, outputs = interface.inputs, interface.outputs
+        """Return the ports of a block type whose sizes are known, but for those without elements."""
+        inputs, outputs = (
+            {name: port for name, port in ports.items() if port.size} for ports in (interface.inputs, interface.outputs)
+        )
         parameters = interface.declaration.parameters
         return cls(
             tuple(inputs),

@@ -8,7 +8,7 @@ every double as it is, and what is known about the run ("metadata") as one objec
     MAT      the struct `blocks`: `json` (the object's text), and by variable `names` and `units`
 
 The same results give the same bytes: a file has no time stamp. A table of another program can be read too, where a
-column `time` or `t` stands in front (CSV) or anywhere (Parquet, MAT).
+column `time` or `t` stands in front (CSV) or anywhere (Parquet, MAT), and so can what Simulink saves in MAT files.
 
 Pandas, pyarrow and SciPy are loaded when used.
 """
@@ -40,6 +40,7 @@ from ..text.errors import Fault, UsageError
 from ..text.printable import legible, one_line
 from .arrow import PART, Stored, Window, read_parquet, read_part, target_of, write_parquet
 from .mat_check import check
+from .simulink_saves import TOUT, opened_saves
 from .table import (
     TIMES,
     VERSION,
@@ -307,9 +308,10 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
     variables = loadmat(io.BytesIO(data), simplify_cells=True)
     own = variables.pop("blocks", {})
     own = own if isinstance(own, dict) else {}
+    variables = variables if own else opened_saves(variables, refuse)
     metadata = parsed(str(own.get("json", "{}")), refuse)
     spelled = own.get("names", {})
-    time = next((name for name in TIMES if name in variables), None)
+    time = next((name for name in (*TIMES, TOUT) if name in variables), None)
     if time is None:
         raise refuse("has no variable 'time'.")
     t = _numbers(variables.pop(time), time, refuse).reshape(-1)

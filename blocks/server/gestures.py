@@ -11,6 +11,7 @@ import hashlib
 import io
 import os
 import re
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -19,6 +20,7 @@ from typing import Any
 from zipfile import is_zipfile
 
 from ..api.catalog import Catalog
+from ..api.simulink_import import from_simulink
 from ..editing.operations import OPERATIONS
 from ..model.block_ports import port_units
 from ..model.diagram_grammar import BODY, MEASURES
@@ -634,6 +636,35 @@ def upload(session: Session, *, name: str, text: str) -> Answer:
         message = "exists already, with other contents."
         raise UsageError(Fault("E501", legible(name[:200]), message, "Rename one of the two."))
     return {"is": "uploaded", "fmu": target.name, "waits": False}
+
+
+@handles
+def import_model(session: Session, *, name: str, text: str) -> Answer:
+    """Make a diagram of a Simulink model that was dropped on the page, in the folder of the diagram.
+
+    text: its bytes in base64. Answers the path of the diagram, and the report. A file of this name stays.
+    """
+    editor = _editor(session)
+    source = inside(editor.folder, name)
+    if source.suffix.lower() not in (".slx", ".mdl") or source.parent != editor.folder.resolve():
+        raise UsageError(Fault("E501", quoted(name[:200]), "is not the name of a Simulink model.", "Drop an .slx or .mdl."))
+    target = source.with_suffix(".json")
+    if target.exists():
+        raise UsageError(Fault("E501", legible(target.name), "exists already.", "Rename it, or rename the model."))
+    try:
+        data = base64.b64decode(text, validate=True)
+    except binascii.Error:
+        raise UsageError(Fault("E501", "import_model.text", "is not base64.")) from None
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place, source.name)
+        path.write_bytes(data)
+        diagram, report = from_simulink(path, folder=editor.folder)
+    try:
+        check_target(target)
+        diagram.save(target)
+    except OSError as error:
+        raise refused(target.name, error) from None
+    return {"is": "imported", "diagram": target.name, "whole": report.is_whole, "report": str(report)}
 
 
 def _asked(session: Session, target: Path, data: bytes) -> Answer:

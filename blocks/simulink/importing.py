@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..text.errors import BlocksError, Fault, ModelError
@@ -85,8 +86,12 @@ class Imported(NamedTuple):
     report: Report
 
 
-def import_model(path: str | os.PathLike[str], workspace: Sequence[str | os.PathLike[str]] = ()) -> Imported:
-    """Make a diagram of a model. workspace: .mat and .m files with its variables.
+def import_model(
+    path: str | os.PathLike[str],
+    workspace: Sequence[str | os.PathLike[str]] = (),
+    folder: str | os.PathLike[str] | None = None,
+) -> Imported:
+    """Make a diagram of a model. workspace: .mat and .m files with its variables. folder: of what it refers to.
 
     Raises:
         ModelError: E007, E010 for a file that is no model, or a library.
@@ -104,7 +109,7 @@ def import_model(path: str | os.PathLike[str], workspace: Sequence[str | os.Path
     fallback, run, told = _settings(model, known)
     entries += [Entry("decided", model.name, *one) for one in told]
     scope = Scope(known)
-    context = Context(model, rule_of, _Opened(model).open)
+    context = Context(model, rule_of, _Opened(model.path.parent if folder is None else Path(folder)).open)
     mapped = map_system(context, model.system, scope, {})
     context.fallback = fallback or _one_rate(mapped)
     if mapped.is_late or context.fallback:
@@ -149,8 +154,9 @@ _OF_LIBRARY = {
 class _Opened:
     """The models and libraries beside a model, each read once."""
 
-    def __init__(self, model: Model) -> None:
-        self.folder, self.models = model.path.parent, {}  # type: Path, dict[str, Model | None]
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.models: dict[str, Model | None] = {}
 
     def open(self, name: str) -> Model | None:
         if name not in self.models:
@@ -244,9 +250,9 @@ def _finished(model: Model, mapped: Mapped, run: dict[str, Any], entries: list[E
     doc = "\n".join(
         [f"From the Simulink model {model.name}.", *(_text_of(one.text) for one in model.system.annotations)]
     )
-    log = [*dict.fromkeys([*body.get("outputs", ()), *mapped.log])]
-    taken_names = set(body.get("outputs", ()))
-    log = [one for one in log if one in taken_names or "." in one or one.partition("[")[0] in body.get("inputs", ())]
+    outputs, inputs = body.get("outputs", {}), body.get("inputs", {})
+    shown = [one for one in mapped.log if "." in one or one.partition("[")[0] in inputs]
+    log = [*outputs, *dict.fromkeys(one for one in shown if one not in outputs.values())]
     if mapped.stops:
         run["stop_when"] = " or ".join(dict.fromkeys(mapped.stops))
     document: dict[str, Any] = {

@@ -84,13 +84,15 @@ def _(at: At) -> None:
             raise Refused("it has limits", "Use two Integrator blocks.")
     if at.text("ExternalReset", "none") != "none" or "external" in (at.text("ICSourceX"), at.text("ICSourceDXDT")):
         raise Refused("it has a reset or an external start", "Use two Integrator blocks.")
-    speed = at.each(
-        "Integrator", {"u": 1}, {"y_start": at.raws("ICDXDT", "0")}, rate=CONTINUOUS, suffix="_rate", number=2
-    )
-    n = at.width(at.raws("ICX", "0"), ports=[1])
-    at.add("Integrator", "", n, y_start=at.per_copy(at.raws("ICX", "0"), n) or None)
-    at.wire(f"{at.name}.u", f"{speed}.y", n)
-    at.out(f"{at.name}.y", CONTINUOUS, n)
+    speed = at.each("Integrator", {"u": 1}, _start(at, "ICDXDT"), rate=CONTINUOUS, suffix="_rate", number=2)
+    n = at.part.outs["2"].attr.n
+    at.each("Integrator", {"u": f"{speed}.y"}, _start(at, "ICX"), rate=CONTINUOUS, n=n)
+
+
+def _start(at: At, key: str) -> dict[str, list[Raw]]:
+    """Return the start value as a parameter, or nothing where it is 0."""
+    start = at.raws(key, "0")
+    return {} if [one.json for one in start] == [0] else {"y_start": start}
 
 
 def _shortened(given: list[Raw]) -> list[Raw]:
@@ -268,8 +270,7 @@ def _(at: At) -> None:
     words = _at_ticks(rate) | ({} if form == "forward" else {"form": form})
     if form != "forward" and not is_first:
         words["y_start_of"] = "state"
-    start = at.raws("InitialCondition", "0")
-    lists = {} if [one.json for one in start] == [0] else {"y_start": start}
+    lists = _start(at, "InitialCondition")
     if at.is_on("LimitOutput"):
         lists |= {"lower": at.raws("LowerSaturationLimit", "-inf"), "upper": at.raws("UpperSaturationLimit", "inf")}
     if [one.value for one in gain] == [1.0]:

@@ -452,6 +452,7 @@ def translated(text: str, inputs: str = "u") -> tuple[str, list[int], list[str],
         written, is_bool = writer.written(ast.parse(" ".join(plain.split()), mode="eval").body)
     except (SyntaxError, ValueError, KeyError, RecursionError, MemoryError):
         raise Refused(f"its expression {text.strip()[:80]!r} has no equal here", "Write it as an Expression.") from None
+    written = ast.unparse(ast.parse(written, mode="eval"))  # with no more brackets than it needs
     return written, writer.elements, writer.names, is_bool
 
 

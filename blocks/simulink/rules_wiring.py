@@ -223,10 +223,16 @@ def _(at: At) -> None:
 # --- what ends or shows a signal -------------------------------------------------------------------------------------
 
 
-@rule(*["Scope", "Display", "ToWorkspace", "ToFile", "Record", "SignalViewerScope", "XYGraph", "WebScope", "SpectrumAnalyzer"],
+@rule(*["Scope", "Display", "Record", "SignalViewerScope", "XYGraph", "WebScope", "SpectrumAnalyzer"],
       "Reference XY scope.", "Reference XYGraph", "Reference Floating Scope")  # fmt: skip
 def _(at: At) -> None:
     at.part.log = [(at.block.name, str(port)) for port in range(1, at.count() + 1) if at.is_wired(str(port))]
+
+
+@rule("ToWorkspace", "ToFile")
+def _(at: At) -> None:
+    key, default = ("VariableName", "simout") if at.block.type == "ToWorkspace" else ("MatrixName", "ans")
+    at.part.outputs = {at.text(key, default): (at.block.name, "1")}
 
 
 @rule("Terminator")

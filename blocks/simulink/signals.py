@@ -90,7 +90,8 @@ class Note(NamedTuple):
 class Part:
     """What a block of the model becomes: blocks of the diagram, the wires that end at them, and its outputs.
 
-    log: inputs whose signals a Scope, a Display or a file takes. stops: inputs that end the run. is_late: a sample
+    log: inputs whose signals a Scope or a Display shows. outputs: those that a variable or a file takes, by its name.
+    stops: inputs that end the run. is_late: a sample
     time was needed that is not known yet.
     """
 
@@ -99,6 +100,7 @@ class Part:
     outs: dict[str, Out] = field(default_factory=dict)
     notes: list[Note] = field(default_factory=list)
     log: list[Reading] = field(default_factory=list)
+    outputs: dict[str, Reading] = field(default_factory=dict)
     stops: list[Reading] = field(default_factory=list)
     inner: Any = None
     is_late: bool = False

@@ -48,7 +48,10 @@ class Refused(Exception):
 
 @dataclass(slots=True)
 class Mapped:
-    """A system as the body of a diagram. outs: of its Outports, by number. used: parameters that it takes."""
+    """A system as the body of a diagram. outs: of its Outports, by number. used: parameters that it takes.
+
+    log: signals that it shows. named: its outputs that a variable or a file takes.
+    """
 
     body: dict[str, Any]
     outs: dict[str, Attr]
@@ -57,6 +60,7 @@ class Mapped:
     names: Mapping[str, str]
     notes: list[tuple[Block, Note]]
     log: list[str]
+    named: list[str]
     stops: list[str]
     is_late: bool
 
@@ -555,12 +559,14 @@ def _linked(drawing: Drawing) -> Mapped:
             found = drawing.sources(Own(reading)) or []
             stops += [each if is_bool else f"{each} != 0" for each, is_bool in found]
         if part.inner is not None:
-            log += [f"{ours}.{one}" for one in part.inner.log]
+            log += [f"{ours}.{one}" for one in [*part.inner.log, *part.inner.named]]
             stops += [re.sub(r"^", f"{ours}.", one) for one in part.inner.stops]
             notes += part.inner.notes
         center = _center(block)
         if center and (ours in part.blocks or block.type in ("Inport", "Outport")):
             body["layout"][ours] = center
+    taken: set[str] = set()
+    named: list[str] = []
     for name in drawing.parts:
         block = drawing.system.blocks[name]
         if block.type == "Outport":
@@ -569,13 +575,23 @@ def _linked(drawing: Drawing) -> Mapped:
             source, _ = wiring.one_source(Own(reading), ours)
             body["outputs"][ours] = source
             outs[number] = drawing.attr(reading)
+            taken.add(ours)
+    for name, part in drawing.parts.items():
+        for wanted, reading in part.outputs.items():
+            if drawing.sources(Own(reading)) is not None:
+                ours = legal(wanted, taken)
+                body["outputs"][ours], _ = wiring.one_source(Own(reading), ours)
+                named.append(ours)
+                center = _center(drawing.system.blocks[name])
+                if center and ours not in body["blocks"] and ours not in body["inputs"]:
+                    body["layout"][ours] = center
     body["blocks"] |= wiring.blocks
     body["wires"] |= wiring.wires
     shown = repr([*body["blocks"].values()])
     used = [name for name in drawing.scope.used if re.search(rf"\b{name}\b", shown)]
     body["parameters"] = {name: _plain(drawing.scope.used[name]) for name in used}
     body = {key: value for key, value in body.items() if value}
-    return Mapped(body, outs, drawing.scope, used, drawing.names, notes, log, stops, is_late)
+    return Mapped(body, outs, drawing.scope, used, drawing.names, notes, log, named, stops, is_late)
 
 
 def _plain(value: float) -> float | int:

@@ -274,7 +274,7 @@ export function start(app, { picked, pick, act, say, wire }) {
     return true;
   };
 
-  // --- FMUs that are dropped ----------------------------------------------------------------------------------------
+  // --- FMUs and Simulink models that are dropped ----------------------------------------------------------------------------------------
 
   view.ondragover = (event) => event.preventDefault();
   view.ondrop = async (event) => {
@@ -284,6 +284,12 @@ export function start(app, { picked, pick, act, say, wire }) {
     if (file.size > 11e6) return say(`${file.name} is larger than 11 MB: put it into the folder of the diagram, and insert it by its name.`);
     const bytes = new Uint8Array(await file.arrayBuffer());
     const text = btoa(Array.from(bytes, (one) => String.fromCharCode(one)).join(""));
+    if (/\.(slx|mdl)$/i.test(file.name)) {
+      const made = await app.connection.ask("import_model", { name: file.name, text }).catch(({ message }) => say(message));
+      if (!made) return;
+      await act("insert", { level: app.state.level, entry: { diagram: made.diagram }, ...near(app, event) });
+      return say(made.report);
+    }
     const told = await app.connection.ask("upload", { name: file.name, text }).catch(({ message }) => say(message));
     if (!told) return;
     const { box } = under(event.clientX, event.clientY);
