@@ -73,8 +73,8 @@ def _constant_at(at: At, port: int) -> list[Raw] | None:
     end = at.drawing.drivers.get((at.block.name, str(port)))
     if end is None:
         return [ZERO]
-    block = at.drawing.system.blocks[end.block]
-    return At(at.drawing, block).raws("Value", "1") if block.type == "Constant" else None
+    block = at.drawing.system.blocks[end.block]  # an IC gives its own value at the start
+    return At(at.drawing, block).raws("Value", "1") if block.type in ("Constant", "InitialCondition") else None
 
 
 @rule("SecondOrderIntegrator")
@@ -476,4 +476,4 @@ def _sampled_pid(at: At, gains: tuple[Raw, Raw, Raw, Raw], limits: Any, back: Ra
             },
         )
         at.wire(f"{at.name}.u", f"{at.name}_sum.y")
-    at.out(f"{at.name}.y", rate)
+    at.nest(rate)

@@ -34,8 +34,7 @@ from .tree import Block, End, Model, System
 Rule = Callable[["At"], None]
 MOST_ROUNDS = 60
 ENDLESS = 1e100  # what stands for infinity in a diagram
-FIELDS = {"CopyFcn", "DeleteFcn"}
-_SCALE = 1.35  # of positions: blocks of a diagram have their names inside or beside them, and are wider
+_SCALE = (1.7, 1.4)  # of positions: blocks of a diagram have their types inside, and are larger
 
 
 class Refused(Exception):
@@ -230,10 +229,13 @@ class At:
     def wire(
         self, sink: str, source: str | Own | int, n: int = 1, *, is_bool: bool = False, is_vector: bool = False
     ) -> None:
-        """Wire an input of the diagram; a number is an input of the model's block."""
-        self.part.wires.append(
-            Wire(sink, self.own(source) if isinstance(source, int) else source, n, is_bool, is_vector)
-        )
+        """Wire an input of the diagram; a number is an input of the model's block. Raises Refused for other sizes."""
+        source = self.own(source) if isinstance(source, int) else source
+        if isinstance(source, Own) and source.element is None:
+            arriving = self.drawing.attr(source.reading).n
+            if arriving not in (1, n):
+                raise Refused(f"{arriving} elements arrive at its input {source.reading[1]}, and it takes {n}")
+        self.part.wires.append(Wire(sink, source, n, is_bool, is_vector))
 
     def out(self, port: str, rate: Rate | None, n: int = 1, number: str | int = 1, **more: Any) -> None:
         """Say which port of the diagram the output of a number is."""
@@ -301,6 +303,28 @@ class At:
             rate = joined([self.attr(one).rate for one in ports.values() if isinstance(one, int)])
         self.out(f"{name}.{port}", rate, n, number, is_bool=is_bool)
         return name
+
+    def nest(self, rate: Rate, source: str = "e", output: str = "u") -> None:
+        """Put the blocks that were added, which take one value and give one, into a subdiagram of the block's name."""
+
+        def local(text: str) -> str:
+            name, _, port = text.partition(".")
+            return f"{name.removeprefix(self.name).lstrip('_') or 'last'}.{port}"
+
+        blocks = {local(name)[:-1]: entry for name, entry in self.part.blocks.items()}
+        wires = {
+            local(wire.sink): source if isinstance(wire.source, Own) else local(wire.source) for wire in self.part.wires
+        }
+        given = repr(blocks)
+        used = {name: value for name, value in self.scope.used.items() if re.search(rf"\b{name}\b", given)}
+        body: dict[str, Any] = {"parameters": {name: _plain(value) for name, value in used.items()}} if used else {}
+        body |= {"inputs": {source: {}}, "outputs": {output: "last.y"}, "blocks": blocks, "wires": wires}
+        entry: dict[str, Any] = {"diagram": body} | (
+            {"parameters": {name: f"={name}" for name in used}} if used else {}
+        )
+        self.part.blocks, self.part.wires = {self.name: entry}, []
+        self.wire(f"{self.name}.{source}", 1)
+        self.out(f"{self.name}.{output}", rate)
 
     def hold(self, key: str = "SampleTime", number: str | int = 1) -> None:
         """Hold the output from tick to tick if the block has a sample time of its own."""
@@ -376,10 +400,16 @@ def _drawn(context: Context, system: System, scope: Scope, inputs: Mapping[str, 
 def _part(drawing: Drawing, block: Block) -> Part:
     rule = drawing.context.rule_of(block)
     at = At(drawing, block)
+    before, drawing.scope.missing = drawing.scope.missing, {}
     try:
         if rule is None:
             raise Refused(f"no equal of {_kind(block)} here", "Write it as a block of your own.")
         rule(at)
+        if drawing.scope.missing:
+            names = ", ".join(drawing.scope.missing)
+            at.note(
+                "unknown", f"{names} has no value", f"Give {names} by --workspace, or as a parameter of the diagram."
+            )
     except (Refused, Unknown, NoValue) as refused:
         cure = getattr(refused, "cure", "") or ""
         names = getattr(refused, "names", ())
@@ -389,6 +419,7 @@ def _part(drawing: Drawing, block: Block) -> Part:
         at = At(drawing, block)
         _empty(at, f"{refused}.", cure)
         at.note(kind, f"{refused}", cure)
+    drawing.scope.missing |= before
     return at.part
 
 
@@ -408,15 +439,15 @@ def _empty(at: At, why: str, cure: str) -> None:
         at.out(f"{name}.y{port}", None, number=port)
 
 
-def legal(name: str, taken: set[str]) -> str:
-    """Return a name as diagrams have it, which is not taken yet, and take it."""
+def legal(name: str, taken: set[str], kind: str = "model") -> str:
+    """Return a name as diagrams have it, which is not taken yet, and take it. kind: goes before a digit."""
     plain = name
     for letter, plainly in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("Ä", "Ae"), ("Ö", "Oe"), ("Ü", "Ue")):
         plain = plain.replace(letter, plainly)
     plain = unicodedata.normalize("NFKD", plain).encode("ascii", "ignore").decode()
     plain = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:150]
     if not plain or plain[0].isdigit():
-        plain = f"b{'_' if plain else ''}{plain}"
+        plain = f"{kind}_{plain}".rstrip("_")
     wanted, k = plain, 2
     while plain in taken:
         plain, k = f"{wanted}_{k}", k + 1
@@ -428,7 +459,7 @@ def _names(blocks: Mapping[str, Block], reserved: set[str]) -> dict[str, str]:
     """Return names for blocks; ports of the system come first, because users type their names."""
     taken = {*reserved, "index", "copies"}
     order = sorted(blocks, key=lambda name: blocks[name].type not in ("Inport", "Outport"))
-    return {name: legal(name, taken) for name in order}
+    return {name: legal(name, taken, re.sub(r"\W", "", blocks[name].type) or "block") for name in order}
 
 
 # --- wires -----------------------------------------------------------------------------------------------------------
@@ -609,4 +640,4 @@ def _center(block: Block) -> list[int]:
     if len(numbers) != 4:
         return []
     left, top, right, bottom = numbers
-    return [round(_SCALE * (left + right) / 2), round(_SCALE * (top + bottom) / 2)]
+    return [round(_SCALE[0] * (left + right) / 2), round(_SCALE[1] * (top + bottom) / 2)]
