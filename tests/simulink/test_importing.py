@@ -94,7 +94,7 @@ def test_the_motor_with_a_sampled_pid_runs_as_a_difference_equation_says() -> No
     assert report.is_whole
     assert {name: diagram.to_json()["parameters"][name] for name in ("kp", "ki", "Ts")} == {"kp": 0.5, "ki": 3, "Ts": 0.005}
     results = diagram.run(every=0.005)
-    period, kp, ki, back, counts = 0.005, 0.5, 3.0, 2.0, 2048 / (2 * np.pi)
+    period, kp, ki, back, counts = 0.005, 0.5, 3.0, 2.0, 200 / (2 * np.pi)
     r, l, k, j, b = 1.2, 0.01, 0.1, 2e-3, 1e-4
     whole = np.zeros((4, 4))  # i, omega, phi and the voltage, which is held
     whole[0], whole[1], whole[2] = [-r / l, -k / l, 0, 1 / l], [k / j, -b / j, 0, 0], [0, 1, 0, 0]
@@ -103,7 +103,7 @@ def test_the_motor_with_a_sampled_pid_runs_as_a_difference_equation_says() -> No
     for tick in range(len(results.t)):
         known.append(x[1])
         counted = np.floor(counts * x[2] + 0.5)
-        speed = (counted - before) / period * 2 * np.pi / 2048
+        speed = (counted - before) / period * 2 * np.pi / 200
         error = (60.0 if tick >= 20 else 0.0) - speed
         wanted = kp * error + integral
         x[3] = np.clip(wanted, -24, 24)

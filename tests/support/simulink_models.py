@@ -149,11 +149,11 @@ def motor_pid() -> Model:
             block("Sum", "e", 2, {"Inputs": "|+-", "IconShape": "round"} | _at(110, 60, 30), {"in": 2, "out": 1}),
             block("Reference", "Controller", 3, pid | _at(180, 55, 60, 40), {"in": 1, "out": 1}),
             block("SubSystem", "Motor", 4, values | _at(320, 55, 60, 60), {"in": 1, "out": 2}, inside=motor, mask=mask),
-            block("Gain", "Counts", 5, {"Gain": "2048/(2*pi)"} | _at(440, 160), {"in": 1, "out": 1}),
-            block("Quantizer", "Encoder", 6, {"QuantizationInterval": "1"} | _at(360, 160), {"in": 1, "out": 1}),
-            block("ZeroOrderHold", "Sampler", 7, {"SampleTime": "Ts"} | _at(280, 160), {"in": 1, "out": 1}),
-            block("Reference", "Speed", 8, difference | _at(200, 160, 60), {"in": 1, "out": 1}),
-            block("Gain", "rad//s", 9, {"Gain": "2*pi/2048"} | _at(120, 160), {"in": 1, "out": 1}),
+            block("Gain", "Counts", 5, {"Gain": "200/(2*pi)"} | _at(460, 160), {"in": 1, "out": 1}),
+            block("Quantizer", "Encoder", 6, {"QuantizationInterval": "1"} | _at(380, 160), {"in": 1, "out": 1}),
+            block("ZeroOrderHold", "Sampler", 7, {"SampleTime": "Ts"} | _at(300, 160), {"in": 1, "out": 1}),
+            block("Reference", "Speed", 8, difference | _at(190, 160, 60), {"in": 1, "out": 1}),
+            block("Gain", "rad//s", 9, {"Gain": "2*pi/200"} | _at(110, 160), {"in": 1, "out": 1}),
             block("Outport", "omega", 10, {"Port": "1"} | _at(460, 90), {"in": 1}),
             block("ToWorkspace", "Log", 11, {"VariableName": "voltage"} | _at(280, 10, 60), {"in": 1}),
         ],
@@ -170,7 +170,7 @@ def motor_pid() -> Model:
             line(("rad//s", "1"), ("e", "2")),
         ],
     )
-    return model("motor_pid", drawn, settings={"StopTime": "1", "SolverName": "VariableStepAuto"})
+    return model("motor_pid", drawn, settings={"StopTime": "0.5", "SolverName": "VariableStepAuto"})
 
 
 MODELS = (thermostat, bouncing_ball, motor_pid)
