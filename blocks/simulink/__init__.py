@@ -4,7 +4,7 @@
     values, rest = assignments(model.callbacks.get("InitFcn", ""), {})
     gains = [block.values["Gain"] for block in model.system.walk() if block.type == "Gain"]
 
-Nothing in a model is run. Diagrams are not made of models yet.
+Nothing in a model is run. `importing` makes a diagram of a model, by the rules of its blocks.
 """
 
 from .matlab import Unread, assignments, evaluate, names_in

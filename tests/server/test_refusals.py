@@ -94,6 +94,7 @@ TABLE: dict[str, list[Row]] = {
     "targets": [({"end": "gain.y"}, SHOWN)],
     "tab": [({"file": "x.json"}, SHOWN)],
     "upload": [({"name": "x.fmu", "text": ""}, SHOWN)],
+    "import_model": [({"name": "x.slx", "text": ""}, SHOWN)],
 }
 WRONG: dict[Any, list[Any]] = {
     str: [1, True, ["a"], {"a": 1}, "x" * 501],
@@ -167,6 +168,12 @@ EDITED: dict[str, list[Row]] = {
     "targets": [({"end": "nothing.y"}, "no such port")],
     "tab": [
         ({"file": path}, "lies outside|not a diagram that can be opened") for path in (*PLACES, "/etc/passwd", "~")
+    ],
+    "import_model": [
+        *(({"name": path, "text": ""}, "outside|not the name of a Simulink model") for path in PLACES),
+        ({"name": "below/x.slx", "text": ""}, "not the name of a Simulink model"),
+        ({"name": "x.slx", "text": "?"}, "not base64"),
+        ({"name": "x.mdl", "text": "bm90aGluZw=="}, "begins no Model"),
     ],
     "upload": [
         *(({"name": path, "text": ""}, "outside|not the name of an FMU") for path in PLACES),
