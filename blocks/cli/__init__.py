@@ -37,7 +37,8 @@ STDOUT = "stdout"
 COMMANDS = {
     "new": "new", "run": "run", "live": "live", "edit": "live", "sweep": "sweep", "study": "study", "tune": "tune",
     "compare": "compare", "plot": "plot", "check": "check", "diff": "diff", "fmt": "fmt", "rename": "rename",
-    "apply": "apply", "import": "simulink", "draw": "draw", "list": "listing", "schema": "schema", "export": "export", "fmu": "fmu",
+    "apply": "apply", "import": "simulink",
+    "draw": "draw", "list": "listing", "schema": "schema", "export": "export", "fmu": "fmu",
     "linearize": "linearize", "observer": "linearize", "adrc-map": "linearize", "explain": "explain",
     "doctor": "doctor", "completion": "completion",
 }  # fmt: skip

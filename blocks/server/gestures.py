@@ -647,7 +647,8 @@ def import_model(session: Session, *, name: str, text: str) -> Answer:
     editor = _editor(session)
     source = inside(editor.folder, name)
     if source.suffix.lower() not in (".slx", ".mdl") or source.parent != editor.folder.resolve():
-        raise UsageError(Fault("E501", quoted(name[:200]), "is not the name of a Simulink model.", "Drop an .slx or .mdl."))
+        message = "is not the name of a Simulink model."
+        raise UsageError(Fault("E501", quoted(name[:200]), message, "Drop an .slx or .mdl."))
     target = source.with_suffix(".json")
     if target.exists():
         raise UsageError(Fault("E501", legible(target.name), "exists already.", "Rename it, or rename the model."))

@@ -173,8 +173,10 @@ def _(at: At) -> None:
     at.pass_on()
 
 
-@rule(*["Goto", "GotoTagVisibility", "DocBlock", "ModelInfo", "EnablePort", "TriggerPort", "ActionPort"], "Reference DocBlock",
-      "Reference CMBlock")  # fmt: skip
+_SILENT = "Goto GotoTagVisibility DocBlock ModelInfo EnablePort TriggerPort ActionPort"
+
+
+@rule(*_SILENT.split(), "Reference DocBlock", "Reference CMBlock")
 def _(at: At) -> None:
     """Nothing of these is in the diagram."""
 

@@ -92,7 +92,7 @@ def test_the_ball_bounces_as_the_closed_form_says() -> None:
 def test_the_motor_with_a_sampled_pid_runs_as_a_difference_equation_says() -> None:
     diagram, report = from_simulink(MOTOR, VALUES)
     assert report.is_whole
-    assert {name: diagram.to_json()["parameters"][name] for name in ("kp", "ki", "Ts")} == {"kp": 0.5, "ki": 3, "Ts": 0.005}
+    assert diagram.to_json()["parameters"] == {"kp": 0.5, "ki": 3, "Ts": 0.005}
     results = diagram.run(every=0.005)
     period, kp, ki, back, counts = 0.005, 0.5, 3.0, 2.0, 200 / (2 * np.pi)
     r, l, k, j, b = 1.2, 0.01, 0.1, 2e-3, 1e-4
@@ -119,22 +119,22 @@ def test_the_motor_with_a_sampled_pid_runs_as_a_difference_equation_says() -> No
 def test_unknown_variables_and_what_has_no_equal_are_told(tmp_path: Path) -> None:
     without = from_simulink(MOTOR)
     assert not without.report.is_whole
-    assert {"kp", "ki", "Ts"} <= {word for entry in without.report.of("unknown") for word in entry.cure.replace(",", "").split()}
+    assert "no value for kp, ki, Ts" in [entry.what for entry in without.report.of("unknown")]
     diagram, report = from_simulink(FORMS["mdl"](house(), tmp_path))
     missing = {entry.path: entry.what for entry in report.of("left out")}
     assert missing == {"Küche/Comfort": "a MATLAB Function"}
-    with pytest.raises(ModelError, match="E103 Kueche.Comfort"):
+    with pytest.raises(ModelError, match=r"E103 Kueche\.Comfort"):
         diagram.check()
     assert "function u = comfort" in json.dumps(diagram.to_json())
 
 
 def test_a_library_and_what_is_no_model_are_refused(tmp_path: Path) -> None:
     drawn = model("parts", system([block("Gain", "g", 1)]), "Library")
-    with pytest.raises(ModelError, match="E010 .*it is a library"):
+    with pytest.raises(ModelError, match=r"E010 .*it is a library"):
         from_simulink(FORMS["mdl"](drawn, tmp_path))
     with pytest.raises(ModelError, match="E010"):
         from_simulink(VALUES)
-    with pytest.raises(UsageError, match="E501 .*cannot be read"):
+    with pytest.raises(UsageError, match=r"E501 .*cannot be read"):
         from_simulink(MOTOR, tmp_path / "none.mat")
     (tmp_path / "bad.mat").write_bytes(b"MATLAB 7.3 MAT-file" + bytes(200))
     with pytest.raises(UsageError, match="-v7"):
@@ -143,7 +143,8 @@ def test_a_library_and_what_is_no_model_are_refused(tmp_path: Path) -> None:
 
 def test_variables_come_from_mat_files_too(tmp_path: Path) -> None:
     savemat(tmp_path / "gains.mat", {"kp": 0.5, "ki": 3.0, "Ts": 0.005, "name": "x", "s": {"a": 1.0}})
-    assert from_simulink(MOTOR, [tmp_path / "gains.mat"]).diagram.to_json() == from_simulink(MOTOR, VALUES).diagram.to_json()
+    made, known = from_simulink(MOTOR, [tmp_path / "gains.mat"]), from_simulink(MOTOR, VALUES)
+    assert made.diagram.to_json() == known.diagram.to_json()
 
 
 def test_a_loop_is_solved_and_told(tmp_path: Path) -> None:
@@ -182,11 +183,9 @@ def test_results_are_compared_with_what_simulink_saved(tmp_path: Path, capsys: p
     results.save(tmp_path / "run.parquet")
     t = results.t[:, None]
     signals = [{"values": results["omega"][:, None], "label": "", "blockName": "motor_pid/omega", "dimensions": 1.0}]
-    saved = {
-        "tout": t, "kp": 0.5,
-        "yout": {"time": t, "signals": signals, "blockName": ""},
-        "voltage": {"time": t, "signals": {"values": results["voltage"][:, None] + 0.001, "label": ""}, "blockName": "m/Log"},
-    }  # fmt: skip
+    yout = {"time": t, "signals": signals, "blockName": ""}
+    voltage = {"time": t, "signals": {"values": results["voltage"][:, None] + 0.001, "label": ""}, "blockName": "m/Log"}
+    saved = {"tout": t, "kp": 0.5, "yout": yout, "voltage": voltage}
     savemat(tmp_path / "sim.mat", saved)
     given = ["compare", str(tmp_path / "run.parquet"), str(tmp_path / "sim.mat")]
     assert main(given) == 1
@@ -215,7 +214,8 @@ def test_a_model_that_is_dropped_on_the_page_becomes_a_diagram_beside_it(tmp_pat
         assert "blocks taken" in str(told["report"])
         answer(session, {"do": "insert", "entry": {"diagram": "dc_motor.json"}})
         assert json.loads((tmp_path / "own.json").read_text())["blocks"]["dc_motor"]["diagram"] == "dc_motor.json"
-        for name, text in (("dc_motor.slx", data), ("x.fmu", data), ("../y.slx", data), ("z.slx", "?"), ("z.slx", "AAAA")):
+        wrong = (("dc_motor.slx", data), ("x.fmu", data), ("../y.slx", data), ("z.slx", "?"), ("z.slx", "AAAA"))
+        for name, text in wrong:
             with pytest.raises(BlocksError):
                 answer(session, {"do": "import_model", "name": name, "text": text})
         assert not (tmp_path / "z.json").exists()
