@@ -406,19 +406,15 @@ def _part(drawing: Drawing, block: Block) -> Part:
             raise Refused(f"no equal of {_kind(block)} here", "Write it as a block of your own.")
         rule(at)
         if drawing.scope.missing:
-            names = ", ".join(drawing.scope.missing)
-            at.note(
-                "unknown", f"{names} has no value", f"Give {names} by --workspace, or as a parameter of the diagram."
-            )
+            named = ", ".join(drawing.scope.missing)
+            cure = f"Give {named} by --workspace, or as a parameter of the diagram."
+            at.note("unknown", f"no value for {named}", cure)
     except (Refused, Unknown, NoValue) as refused:
-        cure = getattr(refused, "cure", "") or ""
-        names = getattr(refused, "names", ())
-        kind = "unknown" if names else "left out"
-        if names:
-            cure = f"Give {', '.join(names)} by --workspace."
+        unknown = ", ".join(getattr(refused, "names", ()))
+        cure = f"Give {unknown} by --workspace." if unknown else str(getattr(refused, "cure", ""))
         at = At(drawing, block)
         _empty(at, f"{refused}.", cure)
-        at.note(kind, f"{refused}", cure)
+        at.note("unknown" if unknown else "left out", f"{refused}", cure)
     drawing.scope.missing |= before
     return at.part
 
