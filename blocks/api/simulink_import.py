@@ -33,7 +33,7 @@ def from_simulink(
     """Make a diagram of a Simulink model, an .slx or .mdl. Nothing in the model is run.
 
         diagram, report = from_simulink("drive.slx", workspace="init.m")
-        print(report)
+        report.is_whole, report.of("left out")
 
     workspace: .mat files, and .m files with plain assignments, that hold the variables of the model. folder:
     where the models and libraries lie that it refers to; left out: beside it. What has no equal here is a block of a
