@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 from ..simulink.importing import Entry, Report, import_model
@@ -45,7 +46,8 @@ def from_simulink(
     """
     files = [workspace] if isinstance(workspace, (str, os.PathLike)) else [*workspace]
     made = import_model(path, files, folder)
-    diagram, report = Diagram.from_json(made.document), made.report
+    beside = Path(path).parent if folder is None else Path(folder)
+    diagram, report = Diagram.from_json(made.document, folder=beside), made.report
     loops = []
     with suppress(ModelError):
         try:

@@ -109,7 +109,8 @@ def import_model(
     fallback, run, told = _settings(model, known)
     entries += [Entry("decided", model.name, *one) for one in told]
     scope = Scope(known)
-    context = Context(model, rule_of, _Opened(model.path.parent if folder is None else Path(folder)).open)
+    beside = model.path.parent if folder is None else Path(folder)
+    context = Context(model, rule_of, _Opened(beside).open, beside)
     mapped = map_system(context, model.system, scope, {})
     context.fallback = fallback or _one_rate(mapped)
     if mapped.is_late or context.fallback:
@@ -147,6 +148,7 @@ def rule_of(block: Block) -> Rule | None:
 _OF_LIBRARY = {
     "Ramp": "Ramp", "Repeating Sequence": "Reference Repeating table", "Chirp Signal": "Reference chirp",
     "PID Controller": "Reference PID 1dof", "Discrete PID Controller": "Reference PID 1dof",
+    "PID Controller (2DOF)": "Reference PID 2dof",
     "XY Graph": "Reference XY scope.", "Compare To Zero": "Reference Compare To Zero",
 }  # fmt: skip
 

@@ -52,7 +52,7 @@ def read_workspace(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, V
         path = Path(each)
         try:
             if path.suffix == ".mat":
-                known |= _of_mat(path)
+                known |= values_of_mat(path)
             else:
                 with opened(path) as stream:
                     text = stream.read(MOST_BYTES).decode("utf-8", "replace")
@@ -65,7 +65,8 @@ def read_workspace(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, V
     return known, rest
 
 
-def _of_mat(path: Path) -> dict[str, Value]:
+def values_of_mat(path: Path) -> dict[str, Value]:
+    """Return the variables of a MAT file that expressions can hold. Raises OSError, ValueError."""
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 

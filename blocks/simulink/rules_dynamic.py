@@ -344,7 +344,7 @@ def _product(a: Raw, b: Raw) -> Raw:
     return computed("{}*{}", lambda x, y: x * y, a, b)
 
 
-@rule("Reference PID 1dof", "Reference PID Controller")
+@rule("Reference PID 1dof", "Reference PID 2dof", "Reference PID Controller")
 def _(at: At) -> None:
     kind = at.text("Controller", "PID")
     p, i, d, n = (at.raw(key, default) for key, default in (("P", "1"), ("I", "1"), ("D", "0"), ("N", "100")))
@@ -385,15 +385,19 @@ def _continuous_pid(at: At, gains: tuple[Raw, Raw, Raw, Raw], limits: Any, back:
     tracking: Any = None
     if is_bounded and i.value != 0:
         tracking = computed("1/{}", lambda a: 1 / a if a else math.inf, back).json if back and back.value else 1e12
+    is_two = at.block.values.get("SourceType") == "PID 2dof"
+    b, c = (at.raw(key, "1").json if is_two else 1 for key in "bc")
     at.add("PID", kp=p.json, ki=i.json or None, kd=d.json or None, u_start=start.json or None, Tt=tracking,
            Tf=computed("1/{}", lambda a: 1 / a if a else math.inf, n).json if d.value else None,
-           c=1 if d.value else None, **given)  # fmt: skip
+           b=b if b != 1 else None, c=c if d.value else None, **given)  # fmt: skip
     at.wire(f"{at.name}.r", 1)
-    at.wire(f"{at.name}.y", "0")
+    at.wire(f"{at.name}.y", 2 if is_two else "0")
     at.out(f"{at.name}.u", CONTINUOUS)
 
 
 def _sampled_pid(at: At, gains: tuple[Raw, Raw, Raw, Raw], limits: Any, back: Raw | None, start: Raw) -> None:
+    if at.block.values.get("SourceType") == "PID 2dof":
+        raise Refused("it weights its set point and is sampled", "Use DiscretePID.")
     p, i, d, n = gains
     rate = at.ticks()
     tick = _at_ticks(rate)

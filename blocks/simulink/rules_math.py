@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .numbers import Raw
+from .numbers import Raw, values_of_mat
 from .signals import CONSTANT, CONTINUOUS
 from .systems import At, Refused, Rule
 
@@ -187,31 +187,40 @@ def _(at: At) -> None:
     at.each("Noise", {}, lists, rate=rate, **words)
 
 
-@rule("FromWorkspace")
+@rule("FromWorkspace", "FromFile")
 def _(at: At) -> None:
-    held = at.scope.value(at.text("VariableName", "simin"))
-    if isinstance(held, dict):
-        signals = held.get("signals")
-        time, values = held.get("time"), signals.get("values") if isinstance(signals, dict) else None
+    if at.block.type == "FromFile":
+        matrix = _of_file(at, at.text("FileName", "untitled.mat"))
+        time, values = matrix[:1].T, matrix[1:].T
     else:
-        time, values = (held[:, :1], held[:, 1:]) if isinstance(held, np.ndarray) else (None, None)
-    if (
-        not isinstance(time, np.ndarray)
-        or not isinstance(values, np.ndarray)
-        or len(values) != time.size
-        or not time.size
-    ):
-        raise Refused("its variable is no matrix of times and values", "Give [t, y], or a structure with time.")
-    if np.any(np.diff(time.ravel()) < 0):
-        raise Refused("its times decrease", "Sort them.")
-    after = at.text("OutputAfterFinalValue", "Extrapolation")
-    if after != "Holding final value":
+        held: Any = at.scope.value(at.text("VariableName", "simin"))
+        if isinstance(held, dict):
+            signals = held.get("signals")
+            time, values = held.get("time"), signals.get("values") if isinstance(signals, dict) else None
+        else:
+            time, values = (held[:, :1], held[:, 1:]) if isinstance(held, np.ndarray) else (None, None)
+    is_table = isinstance(time, np.ndarray) and isinstance(values, np.ndarray) and time.size == len(values) > 0
+    if not is_table or np.any(np.diff(time.ravel()) < 0):
+        raise Refused("it has no increasing times with a value for each", "Give [t, y], or a structure with time.")
+    after = at.text("OutputAfterFinalValue", "Extrapolation").lower()
+    if "hold" not in after:
         at.note("decided", f"after its last time ({time.ravel()[-1]:g} s) it holds the last value; there: {after}", "")
-    n, form = values.shape[1], "linear" if at.text("Interpolate", "on") == "on" else "hold"
-    columns = [[float(one) for one in values[:, i]] for i in range(n)]
-    at.add("Table", "", n, times=[float(one) for one in time.ravel()], values=columns if n > 1 else columns[0],
-           interpolation=None if form == "linear" else form)  # fmt: skip
-    at.out(f"{at.name}.y", CONTINUOUS, n)
+    is_linear = at.text("Interpolate", at.text("InterpolationWithinTimeRange", "on")) not in ("off", "Zero order hold")
+    columns = values.astype(float).T.tolist()
+    given = {"times": time.ravel().astype(float).tolist(), "values": columns if len(columns) > 1 else columns[0]}
+    at.add("Table", "", len(columns), **given, interpolation=None if is_linear else "hold")
+    at.out(f"{at.name}.y", CONTINUOUS, len(columns))
+
+
+def _of_file(at: At, name: str) -> Any:
+    """Return the matrix of a MAT file beside the model: times in its first row, signals in the others."""
+    path = at.context.folder / name
+    if not re.fullmatch(r"[\w.-]+", name) or not path.is_file():
+        raise Refused(f"there is no {name} beside the model", "Put the file there.")
+    held = [value for value in values_of_mat(path).values() if isinstance(value, np.ndarray)]
+    if len(held) != 1 or len(held[0]) < 2:
+        raise Refused(f"{name} holds no matrix with times in its first row", "Save it as an array there.")
+    return held[0]
 
 
 @rule("Reference Repeating table")

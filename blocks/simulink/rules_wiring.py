@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from typing import Any
 
+from ..fmi.description import read_description
 from .numbers import Scope, variables
 from .rules_math import NUMBERED, rule, translated
 from .signals import CONSTANT, CONTINUOUS, Attr, Field, Out, Own, Rate, joined, outputs_of
@@ -318,6 +319,25 @@ def _(at: At) -> None:
     known, _ = variables(model, at.scope.known)
     context = replace(at.context, model=model, depth=at.context.depth + 1)
     _inside(at, context, model.system, Scope(known))
+
+
+@rule("FMU")
+def _(at: At) -> None:
+    """Add an FMU that lies beside the model; its ports are in the order of its description."""
+    name = at.text("FMUName")
+    path = at.context.folder / name
+    if not re.fullmatch(r"[\w.-]+\.fmu", name) or not path.is_file():
+        raise Refused(f"there is no {name} beside the model", "Put the file there.")
+    ports = {"input": [], "output": []}  # type: dict[str, list[str]]
+    for variable in read_description(path).variables:
+        if variable.causality in ports:
+            ports[variable.causality].append(variable.name)
+    at.part.blocks[at.name] = {"fmu": name}
+    at.note("decided", "its parameters have the values of the FMU", "Set them in the diagram.")
+    for k, port in enumerate(ports["input"], 1):
+        at.wire(f"{at.name}.{port}", k)
+    for k, port in enumerate(ports["output"], 1):
+        at.out(f"{at.name}.{port}", CONTINUOUS, number=k)
 
 
 def linked(at: At) -> None:

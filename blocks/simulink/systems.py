@@ -9,8 +9,10 @@ import re
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+from ..text.errors import FMUError
 from .matlab_functions import NoValue
 from .numbers import Raw, Scope, Unknown
 from .signals import (
@@ -66,11 +68,15 @@ class Mapped:
 
 @dataclass(slots=True)
 class Context:
-    """What all systems of one import share. fallback: the sample time where none is inherited."""
+    """What all systems of one import share.
+
+    folder: of the files that the model refers to. fallback: the sample time where none is inherited.
+    """
 
     model: Model
     rule_of: Callable[[Block], Rule | None]
     open_model: Callable[[str], Model | None]
+    folder: Path
     fallback: Raw | None = None
     kept: dict[Any, Mapped] = field(default_factory=dict)
     depth: int = 0
@@ -409,7 +415,7 @@ def _part(drawing: Drawing, block: Block) -> Part:
             named = ", ".join(drawing.scope.missing)
             cure = f"Give {named} by --workspace, or as a parameter of the diagram."
             at.note("unknown", f"no value for {named}", cure)
-    except (Refused, Unknown, NoValue) as refused:
+    except (Refused, Unknown, NoValue, OSError, ValueError, FMUError) as refused:
         unknown = ", ".join(getattr(refused, "names", ()))
         cure = f"Give {unknown} by --workspace." if unknown else str(getattr(refused, "cure", ""))
         at = At(drawing, block)

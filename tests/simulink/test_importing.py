@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,14 @@ from scipy.integrate import solve_ivp
 from scipy.io import savemat
 from scipy.linalg import expm
 
-from blocks import BlocksError, Diagram, ModelError, Results, UsageError, from_simulink
+from blocks import BlocksError, Diagram, ModelError, PMDCMotor, Ramp, Results, UsageError, from_simulink
 from blocks.cli import main
+from blocks.fmi.description import read_description
 from blocks.server import gestures  # noqa: F401  # its messages
 from blocks.server.editor import Editor
 from blocks.server.messages import answer
 from blocks.server.session import Session
+from tests.support.places import ROOT
 from tests.support.simulink_files import FORMS, block, dc_motor, house, line, model, system
 from tests.support.simulink_models import FOLDER, MODELS, write
 
@@ -158,6 +161,33 @@ def test_a_loop_is_solved_and_told(tmp_path: Path) -> None:
     diagram, report = from_simulink(FORMS["split"](model("loop", system(blocks, lines)), tmp_path))
     assert "loops" in report.of("decided")[-1].what
     assert diagram.run()["y"][-1] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_files_beside_the_model_are_read(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "fmus" / "PMDCMotor.fmu", tmp_path)
+    t = np.linspace(0, 2, 5)
+    savemat(tmp_path / "volts.mat", {"ans": np.vstack([t, 6 * t])})
+    blocks = [
+        block(
+            "FromFile", "volts", 1, {"FileName": "volts.mat", "OutputAfterFinalValue": "Hold final value"}, {"out": 1}
+        ),
+        block("FMU", "motor", 2, {"FMUName": "PMDCMotor.fmu"}, {"in": 2, "out": 2}),
+        block("ToWorkspace", "log", 3, {"VariableName": "omega"}, {"in": 1}),
+    ]
+    lines = [line(("volts", "1"), ("motor", "1")), line(("motor", "1"), ("log", "1"))]
+    drawn = model("m", system(blocks, lines), settings={"StopTime": "2"})
+    diagram, report = from_simulink(FORMS["split"](drawn, tmp_path))
+    assert report.is_whole
+    alone = Diagram("alone")
+    motor = alone.add("motor", PMDCMotor())
+    alone.wire(motor.v, alone.add("volts", Ramp(slope=6)).y)
+    ports = read_description(ROOT / "fmus" / "PMDCMotor.fmu").variables
+    first = next(each.name for each in ports if each.causality == "output")
+    known = alone.run(stop=2, rtol=1e-10)[f"motor.{first}"]
+    found = diagram.run(trust=tmp_path, master={"step": 0.01, "order": 2})["omega"]
+    assert found[-1] == pytest.approx(known[-1], rel=1e-5)
+    (tmp_path / "volts.mat").unlink()
+    assert {entry.path for entry in from_simulink(tmp_path / "m.slx").report.of("left out")} == {"volts"}
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
