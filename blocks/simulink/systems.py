@@ -492,7 +492,7 @@ class _Wiring:
             self.wires[wire.sink] = self.fitted(*whole, wire.is_bool, wire.n)
         elif is_one:
             self.wires[wire.sink] = self.fitted(*found[0], wire.is_bool)
-        elif whole is not None and len(found) == wire.n and "[" not in whole[0]:
+        elif whole is not None and len(found) == wire.n > 1 and "[" not in whole[0]:
             self.wires[wire.sink] = self.fitted(*whole, wire.is_bool, wire.n)
         elif len(found) == 1 and not wire.is_vector:
             self.wires[wire.sink] = self.fitted(*found[0], wire.is_bool)  # one value for all copies
@@ -535,11 +535,11 @@ class _Wiring:
         found = self.drawing.sources(source)
         if found is None:
             return self.constant(0), 1
+        if len(found) == 1:
+            return found[0][0], 1
         whole = self.drawing.whole(source)
         if whole is not None:
             return whole[0], len(found)
-        if len(found) == 1:
-            return found[0][0], 1
         mux = self._block(f"{name}_vector", "Mux", size=len(found))
         for i, (each, is_bool) in enumerate(found):
             self.wires[f"{mux}.u{i + 1}"] = self.fitted(each, is_bool, False)
