@@ -520,6 +520,13 @@ def _(at: At) -> None:
         if control is None or control not in at.drawing.drivers:
             raise Refused("its inputs are no action subsystems", "Use Switch.")
         sources.append(Own(control))
+    deciding = {at.drawing.drivers[source.reading] for source in sources}
+    first = at.drawing.system.blocks[next(iter(deciding)).block]
+    rest = {"If": "ShowElse", "SwitchCase": "ShowDefaultCase"}.get(first.type, "")
+    has_rest = (at.context.model.value(first, rest) or "on") == "on"
+    if not has_rest or {end.block for end in deciding} != {first.name} or len(deciding) < len(_conditions(At(at.drawing, first))):
+        raise Refused("there are times at which none of its inputs runs, and it holds the last of them",
+                      "Give the If an else, or write it as a block of your own.")  # fmt: skip
     n = at.width(ports=range(1, ports + 1))
     rate = at.inherited(range(1, ports + 1)) or CONTINUOUS
     after: Any = at.own(ports)
