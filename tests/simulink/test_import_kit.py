@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from blocks import from_simulink
-from tests.support.simulink_files import FORMS
-from tests.support.simulink_kit import CASES, EVERY, Case
+from blocks.text.errors import ModelError
+from tests.support.simulink_files import FORMS, model
+from tests.support.simulink_kit import CASES, EVERY, REFUSED, Case
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-12, "every": EVERY}
 every_case = pytest.mark.parametrize("one", CASES, ids=lambda one: one.name.replace("\n", " "))
@@ -43,3 +44,15 @@ def test_a_model_runs_as_its_documentation_says(one: Case, tmp_path: Path) -> No
             pass
         expected = one.witness(results.t)
         np.testing.assert_allclose(results["out1"], expected, rtol=one.tolerance, atol=one.tolerance)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_the_report_and_check_name_what_has_no_equal(name: str, tmp_path: Path) -> None:
+    inside, piece = REFUSED[name]
+    diagram, report = from_simulink(FORMS["split"](model("some", inside), tmp_path))
+    missing = [*report.of("left out"), *report.of("unknown")]
+    assert [entry.path for entry in missing] == ["Merge" if name.startswith("merge") else "b"]
+    assert piece in str(report)
+    assert missing[0].cure or missing[0].kind == "left out"
+    with pytest.raises(ModelError, match=r"ToWrite|has no value"):
+        diagram.check()

@@ -255,7 +255,7 @@ of_sin("Gain", "gain", lambda u: 2.5 * u, {"Gain": "5/2"})
 of_sin("Gain", "gain of a vector", lambda u: np.stack([u, -2 * u], -1), {"Gain": "[1 -2]"})
 for kind, given, y in (("Matrix(K*u)", "[1 2 3; 4 5 6]", [14, 32]), ("Matrix(K*u) (u vector)", "[0 0 1]", [3]),
                        ("Matrix(u*K)", "[1 4; 2 5; 3 6]", [14, 32])):  # fmt: skip
-    case(f"gain {kind}", {"v": VECTOR, "b": ("Gain", {"Gain": given, "Multiplication": kind})}, "v>b b>out1", columns(*y))
+    case(f"gain {kind}", {"v": VECTOR, "b": ("Gain", {"Gain": given, "Multiplication": kind})}, "v>b b>out1", columns(*y) if len(y) > 1 else lambda t: 3 + 0 * t)
 for signs, y in (("|+-", lambda u, t: u - t), ("+|-", lambda u, t: u - t), ("2", lambda u, t: u + t),
                  ("-|+|", lambda u, t: t - u), ("--", lambda u, t: -u - t)):  # fmt: skip
     case(f"sum {signs}", {"s": SIN, "c": CLOCK, "b": ("Sum", {"Inputs": signs})}, "s>b c>b:2 b>out1",
@@ -393,18 +393,16 @@ of_sin("DeadZone", "dead zone", lambda u: np.maximum(u - 1, 0) + np.minimum(u + 
 of_sin("Quantizer", "quantizer", lambda u: 0.3 * away(u / 0.3), {"QuantizationInterval": "0.3"})
 
 
-def relay(t: Array) -> Array:
-    """Return a Relay that is on from 1.5 and off from -1, behind SIN."""
+def hysteresis(t: Array, high: float, low: float, on: float, off: float, before: float) -> Array:
+    """Return what becomes on where SIN is above high, and off where it is below low."""
     fine = np.linspace(0, 2, 400_001)
-    on, states = False, np.zeros(fine.size)
-    for i, u in enumerate(wave(fine)):
-        on = u >= 1.5 or (on and u > -1)
-        states[i] = 5.0 if on else -5.0
-    return states[np.searchsorted(fine, t, "right") - 1]
+    u = wave(fine)
+    last = np.maximum.accumulate(np.where((u > high) | (u < low), np.arange(u.size), -1))
+    return np.where(last < 0, before, np.where(u[last] > high, on, off))[np.searchsorted(fine, t, "right") - 1]
 
 
 case("relay", {"s": SIN, "b": ("Relay", {"OnSwitchValue": "1.5", "OffSwitchValue": "-1", "OnOutputValue": "5", "OffOutputValue": "-5"})},
-     "s>b b>out1", relay)  # fmt: skip
+     "s>b b>out1", lambda t: hysteresis(t, 1.5, -1, 5, -5, -5))  # fmt: skip
 
 
 def backlash(t: Array) -> Array:
@@ -676,10 +674,10 @@ case("enabled subsystem with reset outputs", {"p": PULSES, "s": SIN, "u": sub({"
      "s>u p>u:enable u>out1", lambda t: wave(t) * pulse(t, 0.8, 0.4, 0.4))  # fmt: skip
 case("enabled by a truth value", {"s": SIN, "c": CLOCK, "o": link("simulink/x/Compare To Constant", "Compare To Constant", relop=">=", const="1"), "u": sub(CLOCKED, "k>i i>out1")},
      "c>o o>u:enable u>out1", lambda t: np.maximum(t - 1, 0))  # fmt: skip
-case("enabled before its first run", {"c": CLOCK, "o": ("Bias", {"Bias": "-1"}), "u": sub({"EnablePort": "EnablePort", "k": ("Constant", {"Value": "5"})}, "k>out1")},
-     "c>o o>u:enable u>out1", lambda t: np.where(t > 1, 5.0, 0.0))  # fmt: skip
+case("enabled before its first run", {"c": CLOCK, "o": ("Bias", {"Bias": "-1"}), "u": sub({"EnablePort": "EnablePort", "k": ("Constant", {"Value": "5"}), "out1": ("Outport", {"InitialOutput": "-2"})}, "k>out1")},
+     "c>o o>u:enable u>out1", lambda t: np.where(t > 1, 5.0, -2.0))  # fmt: skip
 for way, edges in (("rising", [0.4, 1.2]), ("falling", [0.8, 1.6]), ("either", [0.4, 0.8, 1.2, 1.6])):
-    case(f"triggered subsystem {way}", {"s": SIN, "p": PULSES, "u": sub({"TriggerPort": ("TriggerPort", {"TriggerType": way}), "g": ("Gain", {"Gain": "2"})}, "in1>g g>out1")},
+    case(f"triggered subsystem {way}", {"s": SIN, "p": PULSES, "u": sub({"TriggerPort": ("TriggerPort", {"TriggerType": way}), "g": ("Gain", {"Gain": "2"}), "out1": ("Outport", {"InitialOutput": "0"})}, "in1>g g>out1")},
          "s>u p>u:trigger u>out1", lambda t, e=edges: np.array([0.0, *2 * wave(np.array(e))])[np.searchsorted(e, t, "right")])  # fmt: skip
 ACTION = ("ActionPort", {})
 case("if and else", {"s": SIN, "If": ("If", {"NumInputs": "1", "IfExpression": "u1 > 0.5", "ShowElse": "on"}), "Merge": ("Merge", {"Inputs": "2"}),
@@ -724,3 +722,31 @@ case("stop", {"c": CLOCK, "r": ("RelationalOperator", {"Operator": ">="}), "k": 
      lambda t: np.where(t[-1] < 0.7001, t, np.nan))  # fmt: skip
 case("stop by a number", {"p": PULSES, "c": CLOCK, "Stop": "Stop"}, "p>Stop c>out1", lambda t: np.where(abs(t[-1] - 0.4) < 1e-6, t, np.nan))
 case("fixed step", {"s": SIN, "i": ("Integrator", {})}, "s>i i>out1", area, settings={"SolverName": "ode4", "FixedStep": "0.001"}, run={"rtol": 1e-9})
+
+
+# --- what has no equal here -------------------------------------------------------------------------------------------
+
+
+def merged(**values: str) -> tuple[System, str]:
+    """Return an If without an else, whose two subsystems are merged."""
+    inside = {n: sub({"Action": ACTION, "k": ("Constant", {"Value": v})}, "k>out1") for n, v in zip("ab", "12", strict=True)}
+    parts = {"s": SIN, "If": ("If", {"ElseIfExpressions": "u1 < 0", **values}), "Merge": ("Merge", {"Inputs": "2"}), **inside}
+    return sketch(parts, "s>If If>a:ifaction If:2>b:ifaction a>Merge b>Merge:2 Merge>out1"), "none of its inputs runs"
+
+
+REFUSED = {
+    "merge without else": merged(ShowElse="off"),
+    "merge of some": merged(ShowElse="on"),
+    "sawtooth": (sketch({"b": ("SignalGenerator", {"WaveForm": "sawtooth"})}, "b>out1"), "sawtooth"),
+    "matrix": (sketch({"b": ("Constant", {"Value": "[1 2; 3 4]"})}, "b>out1"), "matrix"),
+    "no variable": (sketch({"b": ("Constant", {"Value": "ones(n, 1)"})}, "b>out1"), "Give n by --workspace"),
+    "function": (sketch({"b": ("Fcn", {"Expr": "evil(u)"})}, "in1>b b>out1"), "evil(u)"),
+    "level": (sketch({"p": PULSES, "b": ("Integrator", {"ExternalReset": "level"})}, "in1>b p>b:2 b>out1"), "level"),
+    "element": (sketch({"v": VECTOR, "b": ("Selector", {"Indices": "[4]"})}, "v>b b>out1"), "element 4 of 3"),
+    "signal": (sketch({"m": "BusCreator", "b": ("BusSelector", {"OutputSignals": "z"})}, "in1>m=a in2>m:2=b m>b b>out1"), "no signal 'z'"),
+    "sizes": (sketch({"v": VECTOR, "w": ("Constant", {"Value": "[1 2]"}), "b": "Sum"}, "v>b w>b:2 b>out1"), "3, 2 elements"),
+    "no library": (sketch({"b": link("mine/Block")}, "in1>b b>out1"), "mine"),
+    "no model": (sketch({"b": ("ModelReference", {"ModelName": "mine"})}, "in1>b b>out1"), "mine"),
+    "S-Function": (sketch({"b": ("S-Function", {"FunctionName": "f"})}, "in1>b b>out1"), "S-Function"),
+}
+"""Systems, and a piece of what the report says of their block b, or of Merge."""
