@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .numbers import Raw, values_of_mat
-from .signals import CONSTANT, CONTINUOUS
+from .signals import CONSTANT, CONTINUOUS, Own
 from .systems import At, Refused, Rule
 
 RULES: dict[str, Rule] = {}
@@ -420,14 +420,23 @@ def _(at: At) -> None:
 @rule("Fcn")
 def _(at: At) -> None:
     text = at.text("Expr", "sin(u(1)*exp(2.3*(-u(2))))")
-    expression, elements, names, is_bool = translated(text)
+    expression, elements, names, truths, is_bool = translated(text)
     n = max(elements, default=1)
     if n > max(at.attr(1).n, 1):
         raise Refused(f"its expression reads u({n}), and its input has {at.attr(1).n} elements")
-    k = [at.scope.raw(name) for name in names]
-    at.add("Expression", expression=expression, k=numbers(k) or None)
-    for i, element in enumerate(elements):
-        at.wire(f"{at.name}.u{i + 1}", at.own(1, element - 1))
+    k = numbers([at.scope.raw(name) for name in names]) or None
+    sources: list[str | Own] = [at.own(1, element - 1) for element in elements]
+    for i, each in enumerate([*truths, expression], 1):
+        suffix = f"_is_true_{i}" if i <= len(truths) else ""
+        written = re.sub(r"\bc(\d+)\b", lambda found: f"u{len(elements) + int(found[1])}", each)
+        at.add("Expression", suffix, expression=written, k=k if re.search(r"\bk\d", written) else None)
+        for number in range(1, max([int(one) for one in re.findall(r"\bu(\d+)\b", written)], default=0) + 1):
+            at.wire(f"{at.name}{suffix}.u{number}", sources[number - 1])
+        if suffix:  # 1 or 0, an input of what comes after it
+            at.add("Switch", f"_number_{i}")
+            for port, one in (("u1", "1"), ("u2", "0"), ("control", f"{at.name}{suffix}.y")):
+                at.wire(f"{at.name}_number_{i}.{port}", one)
+            sources.append(f"{at.name}_number_{i}.y")
     at.out(f"{at.name}.y", at.inherited(), is_bool=is_bool)
     at.hold()
 
@@ -442,11 +451,12 @@ _OTHERS = {
 }  # fmt: skip
 
 
-def translated(text: str, inputs: str = "u") -> tuple[str, list[int], list[str], bool]:
+def translated(text: str) -> tuple[str, list[int], list[str], list[str], bool]:
     """Return an expression of a Fcn, or a condition of an If, as a formula of an Expression block.
 
     With it come the elements of u that its inputs u1, u2, ... are (of an If: its inputs), the variables that its
-    constants k1, k2, ... are, and whether it is a condition. Raises Refused.
+    constants k1, k2, ... are, the conditions that it takes as numbers c1, c2, ..., and whether it is a condition.
+    Raises Refused.
     """
     plain = re.sub(r"\bu\s*[(\[]\s*(\d+)\s*[)\]]", r"u\1", text.strip().rstrip(";"))
     for there, here in (("^", "**"), (".*", "*"), ("./", "/"), ("&&", " and "), ("||", " or "), ("~=", "!=")):
@@ -462,15 +472,19 @@ def translated(text: str, inputs: str = "u") -> tuple[str, list[int], list[str],
     except (SyntaxError, ValueError, KeyError, RecursionError, MemoryError):
         raise Refused(f"its expression {text.strip()[:80]!r} has no equal here", "Write it as an Expression.") from None
     written = ast.unparse(ast.parse(written, mode="eval"))  # with no more brackets than it needs
-    return written, writer.elements, writer.names, is_bool
+    return written, writer.elements, writer.names, writer.truths, is_bool
 
 
 class _Writer:
-    """Writes the formula of an Expression block. elements, names: what its inputs and its constants are."""
+    """Writes the formula of an Expression block.
+
+    elements, names: what its inputs and its constants are. truths: conditions whose values it takes as numbers.
+    """
 
     def __init__(self) -> None:
         self.elements: list[int] = []
         self.names: list[str] = []
+        self.truths: list[str] = []
 
     def written(self, node: ast.expr) -> tuple[str, bool]:
         """Return the text of an expression and whether it is a condition. Raises ValueError, KeyError."""
@@ -492,9 +506,12 @@ class _Writer:
 
     def _number(self, node: ast.expr) -> str:
         text, is_bool = self.written(node)
-        if is_bool:
-            raise ValueError
-        return text
+        return self._truth(text) if is_bool else text
+
+    def _truth(self, condition: str) -> str:
+        if condition not in self.truths:
+            self.truths.append(condition)
+        return f"c{self.truths.index(condition) + 1}"
 
     def _arithmetic(self, node: ast.expr) -> str:
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
@@ -516,6 +533,8 @@ class _Writer:
             return f"({_SIGNS[type(node.op)]}{self._number(node.operand)})"
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
             inner, name = [self._number(one) for one in node.args], node.func.id
+            if name in ("sgn", "sign") and len(inner) == 1:
+                return f"({self._truth(f'({inner[0]} > 0)')} - {self._truth(f'({inner[0]} < 0)')})"
             if name in _SAME:
                 return f"{name}({', '.join(inner)})"
             if name in _OTHERS and len(inner) == (2 if "{1}" in _OTHERS[name] else 1):

@@ -495,8 +495,8 @@ def _conditions(at: At) -> list[tuple[str, list[int]]]:
         ports = [*range(1, at.count() + 1)]
         found = []
         for text in texts:
-            written, elements, names, is_bool = translated(text)
-            if names or not is_bool:
+            written, elements, names, truths, is_bool = translated(text)
+            if names or truths or not is_bool:
                 raise Refused(f"its condition {text.strip()[:60]!r} is no condition of its inputs alone")
             for k in range(len(elements), 0, -1):  # back to the numbers of its inputs
                 written = re.sub(rf"\bu{k}\b", f"v{elements[k - 1]}", written)
@@ -523,10 +523,13 @@ def _(at: At) -> None:
     deciding = {at.drawing.drivers[source.reading] for source in sources}
     first = at.drawing.system.blocks[next(iter(deciding)).block]
     rest = {"If": "ShowElse", "SwitchCase": "ShowDefaultCase"}.get(first.type, "")
-    has_rest = (at.context.model.value(first, rest) or "on") == "on"
-    if not has_rest or {end.block for end in deciding} != {first.name} or len(deciding) < len(_conditions(At(at.drawing, first))):
-        raise Refused("there are times at which none of its inputs runs, and it holds the last of them",
-                      "Give the If an else, or write it as a block of your own.")  # fmt: skip
+    has_rest = rest and (at.context.model.value(first, rest) or "on") == "on"
+    is_one = {end.block for end in deciding} == {first.name}
+    if not has_rest or not is_one or len(deciding) < len(_conditions(At(at.drawing, first))):
+        raise Refused(
+            "there are times at which none of its inputs runs, and it holds the last of them",
+            "Give the If an else, or write it as a block of your own.",
+        )
     n = at.width(ports=range(1, ports + 1))
     rate = at.inherited(range(1, ports + 1)) or CONTINUOUS
     after: Any = at.own(ports)

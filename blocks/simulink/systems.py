@@ -480,8 +480,8 @@ class _Wiring:
 
     def add(self, wire: Wire) -> None:
         drawing = self.drawing
-        if wire.source == "0":
-            self.wires[wire.sink] = self.constant(0)
+        if wire.source in ("0", "1"):
+            self.wires[wire.sink] = self.constant(int(wire.source))
             return
         whole = drawing.whole(wire.source)
         found = drawing.sources(wire.source) if whole is None or isinstance(wire.source, Own) else [whole]
