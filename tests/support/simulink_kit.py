@@ -327,6 +327,7 @@ for expression, y in {
     "u(1)*exp(-2*u(2))": lambda u, t: u * np.exp(-2 * t),
     "-u(1)^2": lambda u, t: -(u**2),
     "(u(1)>0)*u(2)": lambda u, t: (u > 0) * t,
+    "a*((u(1) > 0) + (u(2) > 1) > 1) + (u(1) > 0)": lambda u, t: 2.5 * ((u > 0) & (t > 1)) + (u > 0),
     "u(1) > 0.5 && u(2) < 1.5": lambda u, t: 1.0 * ((u > 0.5) & (t < 1.5)),
     "!(u(1) > 0)": lambda u, t: 1.0 * (u <= 0),
     "u(1) == 0 || u(2) >= 1": lambda u, t: 1.0 * ((u == 0) | (t >= 1)),
