@@ -144,7 +144,7 @@ class Scope:
     def raw(self, text: str) -> Raw:
         """Return a number as the diagram has it: variables that it names become parameters. Raises Unknown."""
         text = text.strip()
-        names = [name for name in names_in(text) if name != "pi"] if _FORMULA.fullmatch(text) else []
+        names = [name for name in _named(text) if name != "pi"] if _FORMULA.fullmatch(text) else []
         calls = re.search(r"\w\s*\(", text) is not None
         if names and not calls and text.count("^") < 2 and not _RESERVED.intersection(names):
             held = {name: self.known.get(name) for name in names}
@@ -207,6 +207,14 @@ def _same(known: Mapping[str, Value], name: str, text: str, outer: Mapping[str, 
         return name not in known or bool(np.array_equal(known[name], evaluate(text, outer)))  # type: ignore[arg-type]
     except NoValue:
         return name not in known
+
+
+def _named(text: str) -> list[str]:
+    """Return the names in an expression; none where it cannot be read, which its evaluation tells."""
+    try:
+        return names_in(text)
+    except NoValue:
+        return []
 
 
 def _is_scalar(value: object) -> bool:
