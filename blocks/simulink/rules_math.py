@@ -402,7 +402,7 @@ def _(at: At) -> None:
 
 @rule("Polyval")
 def _(at: At) -> None:
-    at.each("Polynomial", c=numbers(at.raws("coefs", "[1 0]")))
+    at.each("Polynomial", c=numbers(at.raws("Coefs", "[1 2]")))
 
 
 @rule("Reference Coulombic and Viscous Friction")
