@@ -16,7 +16,6 @@ from .systems import At, Refused, Rule
 
 RULES: dict[str, Rule] = {}
 """Rules by BlockType; those of links into Simulink's own libraries by "Reference" and the type of the source."""
-NUMBERED = re.compile(r"\s*\d+\s*")
 
 
 def rule(*types: str) -> Callable[[Rule], Rule]:
@@ -199,8 +198,8 @@ def _(at: At) -> None:
             time, values = held.get("time"), signals.get("values") if isinstance(signals, dict) else None
         else:
             time, values = (held[:, :1], held[:, 1:]) if isinstance(held, np.ndarray) else (None, None)
-    is_table = isinstance(time, np.ndarray) and isinstance(values, np.ndarray) and time.size == len(values) > 0
-    if not is_table or np.any(np.diff(time.ravel()) < 0):
+    is_table = isinstance(time, np.ndarray) and isinstance(values, np.ndarray) and time.size == len(values)
+    if not is_table or not values.size or np.any(np.diff(time.ravel()) < 0):
         raise Refused("it has no increasing times with a value for each", "Give [t, y], or a structure with time.")
     after = at.text("OutputAfterFinalValue", "Extrapolation").lower()
     if "hold" not in after:
@@ -275,8 +274,8 @@ def _(at: At) -> None:
 
 def signs_of(at: At, default: str, plain: str) -> str:
     """Return the signs of a Sum or Product, without the bars that only place its ports."""
-    text = at.text("Inputs", default).replace("|", "").replace(" ", "")
-    return plain * int(text) if NUMBERED.fullmatch(text) and int(text) < 1000 else text
+    count = at.number_of("Inputs", default)
+    return at.text("Inputs", default).replace("|", "").replace(" ", "") if count is None else plain * count
 
 
 @rule("Sum")
@@ -389,7 +388,7 @@ def _(at: At) -> None:
 @rule("MinMax")
 def _(at: At) -> None:
     function, n = at.text("Function", "min"), at.attr(1).n
-    ports = int(at.text("Inputs", "1")) if NUMBERED.fullmatch(at.text("Inputs", "1")) else 1
+    ports = at.number_of("Inputs", "1") or 1
     if ports > 1:
         at.each("MinMax", {f"u{i}": i for i in range(1, ports + 1)}, function=function, size=ports)
     elif n == 1:
@@ -677,7 +676,7 @@ def _(at: At) -> None:
 @rule("Logic")
 def _(at: At) -> None:
     operator = at.text("Operator", "AND").lower()
-    ports = 1 if operator == "not" else int(at.text("Inputs", "2")) if NUMBERED.fullmatch(at.text("Inputs", "2")) else 2
+    ports = 1 if operator == "not" else at.number_of("Inputs", "2") or 2
     if operator not in ("and", "or", "nand", "nor", "xor", "nxor", "not"):
         raise Refused(f"its operator is {operator!r}")
     inner, suffix = ("xor", "_xor") if operator == "nxor" else (operator, "")

@@ -8,19 +8,16 @@ from typing import Any
 
 from ..fmi.description import read_description
 from .numbers import Scope, variables
-from .rules_math import NUMBERED, rule, translated
+from .rules_math import rule, translated
 from .signals import CONSTANT, CONTINUOUS, Attr, Field, Out, Own, Rate, joined, outputs_of
-from .systems import At, Mapped, Refused, map_system
+from .systems import MOST_PORTS, At, Mapped, Refused, map_system, whole
 from .tree import Block, System
 
 # --- vectors and buses -----------------------------------------------------------------------------------------------
 
 
 def _inputs_of(at: At, default: str) -> int:
-    text = at.text("Inputs", default).strip()
-    if NUMBERED.fullmatch(text):
-        return int(text)
-    return at.block.ports.get("in") or at.count()
+    return at.number_of("Inputs", default) or at.block.ports.get("in") or at.count()
 
 
 def _gathered(at: At, ports: int, names: list[str] | None = None) -> None:
@@ -53,7 +50,7 @@ def _(at: At) -> None:
 def _(at: At) -> None:
     if at.text("Mode", "Vector") != "Vector" and any(at.attr(port).n > 1 for port in range(1, at.count() + 1)):
         raise Refused("its output is a matrix")
-    _gathered(at, int(at.text("NumInputs", "2")) if NUMBERED.fullmatch(at.text("NumInputs", "2")) else at.count(2))
+    _gathered(at, at.number_of("NumInputs", "2") or at.count(2))
 
 
 @rule("BusCreator")
@@ -122,8 +119,9 @@ def _(at: At) -> None:
 @rule("Demux")
 def _(at: At) -> None:
     text, attr = at.text("Outputs", "4"), at.attr(1)
-    given = [int(one.value) for one in at.scope.raws(text)] if not NUMBERED.fullmatch(text) else []
-    count = int(text) if NUMBERED.fullmatch(text) else len(given)
+    number = at.number_of("Outputs", "4")
+    given = [whole(one, "Outputs", -1, MOST_PORTS) for one in at.scope.raws(text)] if number is None else []
+    count = len(given) if number is None else number
     if not given:
         size, more = divmod(attr.n, max(count, 1))
         given = [size + (k < more) for k in range(count)] if attr.n >= count else [1] * count
@@ -151,12 +149,12 @@ def _(at: At) -> None:
     text = re.sub(r"^\{(.*)\}$", r"\1", text.strip())
     offset = 0 if at.text("IndexMode", "One-based").startswith("Zero") else 1
     if at.text("IndexOptions", "").startswith("Starting index"):
-        first = int(at.scope.raw(text).value)
+        first = whole(at.scope.raw(text), "Indices")
         elements = [first - offset + i for i in range(at.whole_number("OutputSizes", "1"))]
     elif at.text("IndexOptions", "") == "Select all":
         elements = [*range(at.attr(1).n)]
     else:
-        elements = [int(one.value) - offset for one in at.scope.raws(text)]
+        elements = [whole(one, "Indices") - offset for one in at.scope.raws(text)]
     attr = at.attr(1)
     if attr.n > 1 and not all(0 <= one < attr.n for one in elements):
         raise Refused(f"it selects element {max(elements) + offset} of {attr.n}")
@@ -274,8 +272,8 @@ def _(at: At) -> None:
 def _(at: At) -> None:
     attr = at.drawing.inputs.get(at.text("Port", "1"))
     if attr is None:
-        size = at.raw("PortDimensions", "-1").value
-        attr = Attr(int(size) if size > 1 else 1, rate=at.own_rate() or CONTINUOUS)
+        size = whole(at.raw("PortDimensions", "-1"), "PortDimensions")
+        attr = Attr(max(size, 1), rate=at.own_rate() or CONTINUOUS)
     at.part.outs["1"] = outputs_of(at.name, attr)
 
 
@@ -376,6 +374,9 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
         if block.type in _STRANGE:
             raise Refused(_STRANGE[block.type], "Write it as a block of your own.")
     inports = {block.values.get("Port", "1"): name for name, block in system.blocks.items() if block.type == "Inport"}
+    for port in inports:
+        if not re.fullmatch(r"\d{1,4}", port, re.ASCII):
+            raise Refused(f"the number of its port is {port[:20]!r}")
     attrs = {port: at.attr(port) for port in inports}
     controls = [block for block in system.blocks.values() if block.type in ("EnablePort", "TriggerPort", "ActionPort")]
     if len(controls) > 1:
@@ -505,7 +506,7 @@ def _conditions(at: At) -> list[tuple[str, list[int]]]:
     cases = re.findall(r"\[[^\]]*\]|[-\w.]+", at.text("CaseConditions", "{1}").strip().strip("{}"))
     found = []
     for case in cases:
-        values = [int(one.value) for one in at.scope.raws(case)]
+        values = [whole(one, "CaseConditions", -(2**31), 2**31) for one in at.scope.raws(case)]
         found.append((" or ".join(f"u1 == {value}" for value in values), [1]))
     return found + ([("", [1])] if at.is_on("ShowDefaultCase", "on") else [])
 

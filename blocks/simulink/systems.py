@@ -5,6 +5,7 @@ A rule says what a block becomes, given what is known of its inputs. It runs aga
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -35,6 +36,7 @@ from .tree import Block, End, Model, System
 
 Rule = Callable[["At"], None]
 MOST_ROUNDS = 60
+MOST_PORTS = 1000
 ENDLESS = 1e100  # what stands for infinity in a diagram
 _SCALE = (1.7, 1.4)  # of positions: blocks of a diagram have their types inside, and are larger
 
@@ -138,6 +140,13 @@ class Drawing:
         return None if part is None or end is None else part.outs.get(end.port)
 
 
+def whole(given: Raw, key: str, least: int = -10_000, most: int = 10_000) -> int:
+    """Return a number as an integer. Raises Refused where it is none, or out of bounds."""
+    if not math.isfinite(given.value) or given.value != int(given.value) or not least <= given.value <= most:
+        raise Refused(f"{key} is no whole number from {least:,} to {most:,}")
+    return int(given.value)
+
+
 class At:
     """A block while its rule runs: its parameters, what is known of its inputs, and the part that it becomes."""
 
@@ -164,10 +173,14 @@ class At:
         return self.scope.matrix(self.text(key, default) or default)
 
     def whole_number(self, key: str, default: str, most: int = 10_000) -> int:
-        value = self.raw(key, default).value
-        if not value == value or value != int(value) or not 0 <= value <= most:
-            raise Refused(f"{key} is no whole number up to {most:,}")
-        return int(value)
+        return whole(self.raw(key, default), key, 0, most)
+
+    def number_of(self, key: str, default: str) -> int | None:
+        """Return a number of ports; None where the parameter says it in another way. Raises Refused."""
+        text = self.text(key, default).strip()
+        if not re.fullmatch(r"\d+", text, re.ASCII):
+            return None
+        return whole(Raw(text, float(text)), key, 0, MOST_PORTS)
 
     def is_on(self, key: str, default: str = "off") -> bool:
         return self.text(key, default) == "on"
