@@ -83,7 +83,7 @@ def sketch(blocks: Mapping[str, Any], wires: str) -> System:
         inside, mask = [*more, None, None][:2]
         counts = {**ports.get(name, {}), **{key: int(value) for key, value in values.items() if key in ("in", "out")}}
         kept = {key: value for key, value in values.items() if key not in ("in", "out")}
-        made.append(block(kind, name, next(_sids), kept, counts, inside=inside, mask=mask))
+        made.append(block(kind, name, next(SIDS), kept, counts, inside=inside, mask=mask))
     return system(made, drawn)
 
 
@@ -93,7 +93,7 @@ def _count() -> Any:
         yield (k := k + 1)
 
 
-_sids = _count()
+SIDS = _count()
 CASES: list[Case] = []
 
 
