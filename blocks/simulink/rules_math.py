@@ -41,7 +41,7 @@ def computed(formula: str, function: Callable[..., float], *given: Raw) -> Raw:
     if any(isinstance(one.json, str) for one in given):
         texts = [one.json.removeprefix("=") if isinstance(one.json, str) else repr(one.json) for one in given]
         return Raw("=" + formula.format(*(text if text.isidentifier() else f"({text})" for text in texts)), value)
-    return Raw(int(value) if value == int(value) and abs(value) < 2**53 else value, value)
+    return Raw(int(value) if abs(value) < 2**53 and value == int(value) else value, value)
 
 
 def _divided(a: float, b: float = 1.0) -> float:
@@ -201,6 +201,8 @@ def _(at: At) -> None:
     is_table = isinstance(time, np.ndarray) and isinstance(values, np.ndarray) and time.size == len(values)
     if not is_table or not values.size or np.any(np.diff(time.ravel()) < 0):
         raise Refused("it has no increasing times with a value for each", "Give [t, y], or a structure with time.")
+    if not (np.all(np.isfinite(time)) and np.all(np.isfinite(values))):
+        raise Refused("its variable holds what is no number", "Give finite times and values.")
     after = at.text("OutputAfterFinalValue", "Extrapolation").lower()
     if "hold" not in after:
         at.note("decided", f"after its last time ({time.ravel()[-1]:g} s) it holds the last value; there: {after}", "")
@@ -633,6 +635,8 @@ def _breakpoints(at: At, i: int) -> Any:
     if at.text("BreakpointsSpecification", "Explicit values") == "Even spacing":
         first, step = (at.raw(f"BreakpointsForDimension{i}{key}", "1").value for key in ("FirstPoint", "Spacing"))
         table = at.matrix("Table", "0")
+        if not math.isfinite(first) or not math.isfinite(step):
+            raise Refused("its breakpoints are infinite", "Give finite ones.")
         return first + step * np.arange(table.size if 1 in table.shape else table.shape[i - 1])
     return at.matrix(f"BreakpointsForDimension{i}", "[1:3]").ravel()
 

@@ -444,7 +444,10 @@ def _control(at: At, entry: dict[str, Any], control: Block, system: System) -> N
         kept = {said(block, "OutputWhenDisabled", "held") for block in outports}
         if len(kept) > 1:
             at.note("decided", "all its outputs are held while it is off; there some are reset", "")
-        entry["enable"] = {"states": said(control, key, "held"), "outputs": kept.pop() if len(kept) == 1 else "held"}
+        outputs, states = kept.pop() if len(kept) == 1 else "held", said(control, key, "held")
+        if {outputs, states} - {"held", "reset"}:
+            raise Refused(f"what happens while it is off is {outputs!r}, {states!r}")
+        entry["enable"] = {"states": states, "outputs": outputs}
         port = "ifaction" if control.type == "ActionPort" else "enable"
         if at.attr(port).is_bool:
             at.wire(f"{at.name}.enable", at.own(port), is_bool=True)

@@ -147,6 +147,12 @@ def whole(given: Raw, key: str, least: int = -10_000, most: int = 10_000) -> int
     return int(given.value)
 
 
+def _is_infinite(value: Any) -> bool:
+    if isinstance(value, list):
+        return any(_is_infinite(one) for one in value)
+    return isinstance(value, float) and math.isinf(value)
+
+
 class At:
     """A block while its rule runs: its parameters, what is known of its inputs, and the part that it becomes."""
 
@@ -235,6 +241,8 @@ class At:
         name = self.name + suffix
         entry: dict[str, Any] = {"type": kind}
         given = {key: value for key, value in parameters.items() if value is not None}
+        if any(_is_infinite(value) for value in given.values()):
+            raise Refused("a parameter is infinite", "Give it a finite value.")
         if n > 1:
             entry["copies"] = n
         if given:
