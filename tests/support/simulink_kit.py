@@ -303,7 +303,7 @@ of_sin("Signum", "signum", np.sign)
 of_sin("UnaryMinus", "unary minus", np.negative)
 case("dot product", {"v": VECTOR, "s": SIN, "g": ("Gain", {"Gain": "[1 0 2]"}), "b": ("DotProduct", {})},
      "s>g v>b g>b:2 b>out1", lambda t: 7 * wave(t))
-of_sin("Polyval", "polynomial", lambda u: np.polyval([1, -2, 3], u), {"coefs": "[1 -2 3]"})
+of_sin("Polyval", "polynomial", lambda u: np.polyval([1, -2, 3], u), {"Coefs": "[1 -2 3]"})
 case("friction", {"s": SIN, "b": link("simulink/Discontinuities/Coulomb &\nViscous Friction",
                                       "Coulombic and Viscous Friction", offset="0.5", gain="3")},
      "s>b b>out1", lambda t: np.sign(wave(t)) * (3 * np.abs(wave(t)) + 0.5))
