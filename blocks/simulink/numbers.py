@@ -23,6 +23,7 @@ _FORMULA = re.compile(r"[\w.\s+\-*/()^]+")
 _LIST = re.compile(r"\[([^\[\]();'{}]*)\]")
 _RESERVED = frozenset({"index", "copies", "and", "or", "not", "t"})
 MOST_BYTES = 64 * 2**20
+MOST_ELEMENTS = 10_000  # of one signal, or of a parameter with a value for each
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +178,8 @@ class Scope:
         value = self.matrix(text)
         if 1 not in value.shape and value.size:
             raise Unknown(f"{text[:80]!r} is a matrix, and one row is needed")
+        if value.size > MOST_ELEMENTS:
+            raise Unknown(f"{text[:80]!r} has {value.size:,} elements, and {MOST_ELEMENTS:,} are the most")
         return [self.raw(text)] if value.size == 1 else [Raw(_json(float(one)), float(one)) for one in value.ravel()]
 
     def matrix(self, text: str) -> Any:

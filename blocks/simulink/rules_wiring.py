@@ -373,7 +373,8 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
     for block in system.blocks.values():
         if block.type in _STRANGE:
             raise Refused(_STRANGE[block.type], "Write it as a block of your own.")
-    inports = {block.values.get("Port", "1"): name for name, block in system.blocks.items() if block.type == "Inport"}
+    shown = {name: block for name, block in system.blocks.items() if block.values.get("Commented", "off") == "off"}
+    inports = {block.values.get("Port", "1"): name for name, block in shown.items() if block.type == "Inport"}
     for port in inports:
         if not re.fullmatch(r"\d{1,4}", port, re.ASCII):
             raise Refused(f"the number of its port is {port[:20]!r}")
@@ -396,13 +397,13 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
         _control(at, entry, control, system)
     for port, name in inports.items():
         attr = attrs[port]
-        at.wire(f"{at.name}.{mapped.names[name]}", int(port), attr.n, is_bool=attr.is_bool, is_vector=attr.n > 1)
+        at.wire(f"{at.name}.{mapped.names[name]}", at.own(port), attr.n, is_bool=attr.is_bool, is_vector=attr.n > 1)
     rate = at.own_rate("SystemSampleTime") if at.text("SystemSampleTime", "-1") not in ("-1", "") else None
     if rate is not None and rate.is_sampled:
         at.note(
             "decided", f"its sample time of {rate.json} s is that of its sampled blocks only", "Give them the period."
         )
-    for name, block in system.blocks.items():
+    for name, block in shown.items():
         if block.type == "Outport" and block.values.get("Port", "1") in mapped.outs:
             number = block.values.get("Port", "1")
             attr = mapped.outs[number]

@@ -15,7 +15,7 @@ from typing import Any
 
 from ..text.errors import FMUError
 from .matlab_functions import NoValue
-from .numbers import Raw, Scope, Unknown
+from .numbers import MOST_ELEMENTS, Raw, Scope, Unknown
 from .signals import (
     CONSTANT,
     CONTINUOUS,
@@ -99,6 +99,12 @@ class Drawing:
     drivers: dict[Reading, End]
     labels: dict[tuple[str, str], str]  # names of lines, by the port at which they begin
     parts: dict[str, Part] = field(default_factory=dict)
+    readings: dict[str, list[Reading]] = field(init=False)  # the wired inputs of a block
+
+    def __post_init__(self) -> None:
+        self.readings = {}
+        for reading in self.drivers:
+            self.readings.setdefault(reading[0], []).append(reading)
 
     def attr(self, reading: Reading) -> Attr:
         """Return what is known of the signal at an input; nothing that is wired is a constant 0."""
@@ -109,30 +115,32 @@ class Drawing:
         out = None if part is None else part.outs.get(end.port)
         return Attr() if out is None else out.attr
 
-    def sources(self, source: str | Own, attr: Attr | None = None, depth: int = 0) -> list[tuple[str, bool]] | None:
+    def sources(self, source: str | Own, attr: Attr | None = None) -> list[tuple[str, bool]] | None:
         """Return the source of each element and whether it is a bool; None where nothing is wired."""
-        if not isinstance(source, Own):
-            return [(source, bool(attr and attr.is_bool))]
-        out = self._driving(source.reading)
-        if out is None or depth > len(self.parts):
-            return None
-        chosen = out.elements if source.element is None else out.elements[source.element : source.element + 1]
         found: list[tuple[str, bool]] = []
-        for each in chosen:
-            more = self.sources(each, out.attr, depth + 1)
-            if more is None:
+        left = [(source, attr, 0)]
+        while left:
+            one, attr, depth = left.pop()
+            if not isinstance(one, Own):
+                found.append((one, bool(attr and attr.is_bool)))
+                continue
+            out = self._driving(one.reading)
+            if out is None or depth > len(self.parts):
                 return None
-            found += more
+            chosen = out.elements if one.element is None else out.elements[one.element : one.element + 1]
+            left += [(each, out.attr, depth + 1) for each in reversed(chosen)]
         return found
 
-    def whole(self, source: str | Own, attr: Attr | None = None, depth: int = 0) -> tuple[str, bool] | None:
+    def whole(self, source: str | Own, attr: Attr | None = None) -> tuple[str, bool] | None:
         """Return the one source of all elements, or None if there is none."""
-        if not isinstance(source, Own):
-            return source, bool(attr and attr.is_bool)
-        out = self._driving(source.reading)
-        if out is None or source.element is not None or out.whole is None or depth > len(self.parts):
-            return None
-        return self.whole(out.whole, out.attr, depth + 1)
+        for _ in range(len(self.parts) + 2):
+            if not isinstance(source, Own):
+                return source, bool(attr and attr.is_bool)
+            out = self._driving(source.reading)
+            if out is None or source.element is not None or out.whole is None:
+                return None
+            source, attr = out.whole, out.attr
+        return None
 
     def _driving(self, reading: Reading) -> Out | None:
         end = self.drivers.get(reading)
@@ -196,8 +204,9 @@ class At:
 
     def count(self, default: int = 1) -> int:
         """Return the number of inputs: as the file counts them, or as many as are wired."""
-        wired = [int(port) for name, port in self.drawing.drivers if name == self.block.name and port.isdecimal()]
-        return self.block.ports.get("in", max(wired, default=default))
+        wired = [port for _, port in self.drawing.readings.get(self.block.name, ()) if port.isdecimal()]
+        most = max([int(port) if len(port) < 9 else MOST_PORTS for port in wired], default=default)
+        return min(self.block.ports.get("in", most), MOST_PORTS)
 
     def is_wired(self, port: str) -> bool:
         return (self.block.name, port) in self.drawing.drivers
@@ -265,7 +274,9 @@ class At:
         self.part.wires.append(Wire(sink, source, n, is_bool, is_vector))
 
     def out(self, port: str, rate: Rate | None, n: int = 1, number: str | int = 1, **more: Any) -> None:
-        """Say which port of the diagram the output of a number is."""
+        """Say which port of the diagram the output of a number is. Raises Refused where it has too many elements."""
+        if n > MOST_ELEMENTS:
+            raise Refused(f"its output has {n:,} elements, and {MOST_ELEMENTS:,} are the most")
         is_vector = more.pop("is_vector", False)
         self.part.outs[str(number)] = outputs_of(port, Attr(n, rate=rate, **more), is_vector=is_vector)
 
@@ -407,10 +418,13 @@ def _drawn(context: Context, system: System, scope: Scope, inputs: Mapping[str, 
     drivers = {reading: end for reading, end in drivers.items() if end.block in blocks}
     drawing = Drawing(context, system, scope, inputs, _names(blocks, reserved), drivers, labels)
     seen: dict[str, object] = {}
+    changed: list[Part] = []
+    order = _along(drawing, blocks)
     for _ in range(MOST_ROUNDS):
-        changed = False
-        for name, block in blocks.items():
-            readings = [reading for reading in drivers if reading[0] == name]
+        changed = []
+        for name in order:
+            block = blocks[name]
+            readings = drawing.readings.get(name, ())
             state = tuple(drawing.attr(reading) for reading in readings) if block.type != "From" else object()
             if name in seen and seen[name] == state:
                 continue
@@ -418,10 +432,37 @@ def _drawn(context: Context, system: System, scope: Scope, inputs: Mapping[str, 
             part = _part(drawing, block)
             old = drawing.parts.get(name)
             drawing.parts[name] = part
-            changed |= old is None or old.outs != part.outs
+            if old is None or old.outs != part.outs:
+                changed.append(part)
         if not changed:
-            return drawing
+            break
+    for part in changed:
+        part.notes.append(Note("left out", "the size or the rate of its output depends on itself", ""))
+    drawing.parts = {name: drawing.parts[name] for name in blocks}
     return drawing
+
+
+def _along(drawing: Drawing, blocks: Mapping[str, Block]) -> list[str]:
+    """Return the blocks in the order of the signals, so that a few rounds reach them all."""
+    value, tags = drawing.context.model.value, {}
+    for name, block in blocks.items():
+        if block.type == "Goto":
+            tags.setdefault(value(block, "GotoTag") or "A", name)
+    order: dict[str, None] = {}
+    begun: set[str] = set()
+    for first in blocks:
+        left = [first]
+        while left:
+            name = left[-1]
+            if name in begun:
+                order[left.pop()] = None
+                continue
+            begun.add(name)
+            before = [drawing.drivers[reading].block for reading in drawing.readings.get(name, ())]
+            if blocks[name].type == "From":
+                before += [tags[tag] for tag in [value(blocks[name], "GotoTag") or "A"] if tag in tags]
+            left += [one for one in before if one not in begun]
+    return list(order)
 
 
 def _part(drawing: Drawing, block: Block) -> Part:
