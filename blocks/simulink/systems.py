@@ -196,6 +196,13 @@ class At:
             return None
         return whole(Raw(text, float(text)), key, 0, MOST_PORTS)
 
+    def whole_numbers(self, text: str) -> list[int]:
+        """Return the elements of an expression that are sizes, indices or cases."""
+        values = [one.value for one in self.scope.raws(text)]
+        if not all(abs(value) < 2**31 and value == int(value) for value in values):
+            raise Refused(f"{text[:80]!r} are no whole numbers")
+        return [int(value) for value in values]
+
     def is_on(self, key: str, default: str = "off") -> bool:
         return self.text(key, default) == "on"
 
