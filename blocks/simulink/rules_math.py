@@ -16,6 +16,7 @@ from .systems import At, Refused, Rule
 
 RULES: dict[str, Rule] = {}
 """Rules by BlockType; those of links into Simulink's own libraries by "Reference" and the type of the source."""
+MOST_POINTS = 100_000  # of a lookup table
 
 
 def rule(*types: str) -> Callable[[Rule], Rule]:
@@ -605,6 +606,8 @@ def _(at: At) -> None:
     ):
         raise Refused(f"a table of {dimensions} dimensions with {interpolation!r}", "Use LookupTable or LookupTable2D.")
     values = at.matrix(keys[0], "tanh([-5:5])")
+    if values.size > MOST_POINTS:
+        raise Refused(f"its table has {values.size:,} values, and {MOST_POINTS:,} are the most", "Use a Table of a file.")
     if dimensions == 1:
         if values.size != points[0].size:
             raise Refused(f"its table has {values.size} values for {points[0].size} points")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from typing import Any
@@ -272,8 +273,11 @@ def _(at: At) -> None:
 def _(at: At) -> None:
     attr = at.drawing.inputs.get(at.text("Port", "1"))
     if attr is None:
-        size = whole(at.raw("PortDimensions", "-1"), "PortDimensions")
-        attr = Attr(max(size, 1), rate=at.own_rate() or CONTINUOUS)
+        size = [whole(one, "PortDimensions", -1, MOST_ELEMENTS) for one in at.raws("PortDimensions", "-1")]
+        n = math.prod(size)
+        if n > MOST_ELEMENTS or (n > 1 and n not in size):
+            raise Refused(f"its dimensions are {at.text('PortDimensions')!r}", "Give it the size of a vector.")
+        attr = Attr(max(n, 1), rate=at.own_rate() or CONTINUOUS)
     at.part.outs["1"] = outputs_of(at.name, attr)
 
 

@@ -500,6 +500,9 @@ def _kind(block: Block) -> str:
 
 def _empty(at: At, why: str, cure: str) -> None:
     """Add a block of a type that does not exist, with the ports of the model's block: check names it."""
+    if at.block.type == "Inport":  # an input has no block; it stays, as one number
+        at.out(at.name, CONTINUOUS)
+        return
     kind = re.sub(r"\W", "", _kind(at.block).rpartition("/")[2].title()) or "Block"
     name = at.add(f"{kind}ToWrite")
     text = at.block.script or at.block.values.get("FunctionName", "")
@@ -661,7 +664,9 @@ def _linked(drawing: Drawing) -> Mapped:
             found = drawing.sources(Own(reading)) or []
             stops += [each if is_bool else f"{each} != 0" for each, is_bool in found]
         if part.inner is not None:
-            log += [f"{ours}.{one}" for one in [*part.inner.log, *part.inner.named]]
+            arriving = part.inner.body.get("inputs", {})  # no signals of the subdiagram: they are logged here
+            shown = [one for one in part.inner.log if "." in one or one.partition("[")[0] not in arriving]
+            log += [f"{ours}.{one}" for one in [*shown, *part.inner.named]]
             stops += [re.sub(r"^", f"{ours}.", one) for one in part.inner.stops]
             notes += part.inner.notes
         center = _center(block)
@@ -689,8 +694,8 @@ def _linked(drawing: Drawing) -> Mapped:
                     body["layout"][ours] = center
     body["blocks"] |= wiring.blocks
     body["wires"] |= wiring.wires
-    shown = repr([*body["blocks"].values()])
-    used = [name for name in drawing.scope.used if re.search(rf"\b{name}\b", shown)]
+    written = repr([*body["blocks"].values()])
+    used = [name for name in drawing.scope.used if re.search(rf"\b{name}\b", written)]
     body["parameters"] = {name: _plain(drawing.scope.used[name]) for name in used}
     body = {key: value for key, value in body.items() if value}
     return Mapped(body, outs, drawing.scope, used, drawing.names, notes, log, named, stops, is_late)
