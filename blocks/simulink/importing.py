@@ -110,7 +110,7 @@ def import_model(
     entries += [Entry("decided", model.name, *one) for one in told]
     scope = Scope(known)
     beside = model.path.parent if folder is None else Path(folder)
-    context = Context(model, rule_of, _Opened(beside).open, beside)
+    context = Context(model, rule_of, _Opened(beside).open, beside, opened=(model.path.stem,))
     mapped = map_system(context, model.system, scope, {})
     context.fallback = fallback or _one_rate(mapped)
     if mapped.is_late or context.fallback:

@@ -21,7 +21,7 @@ from .tree import Model
 _NAME = re.compile(r"[A-Za-z]\w*")
 _FORMULA = re.compile(r"[\w.\s+\-*/()^]+")
 _LIST = re.compile(r"\[([^\[\]();'{}]*)\]")
-_RESERVED = frozenset({"index", "copies", "and", "or", "not", "t"})
+_RESERVED = frozenset({"true", "false", "index", "copies", "and", "or", "not", "t"})
 MOST_BYTES = 64 * 2**20
 MOST_ELEMENTS = 10_000  # of one signal, or of a parameter with a value for each
 
@@ -117,6 +117,19 @@ class Scope:
     own: Mapping[str, str] = field(default_factory=dict)
     used: dict[str, float] = field(default_factory=dict)
     missing: dict[str, None] = field(default_factory=dict)
+    base: Mapping[str, Value] | None = None  # where masks are around it: the variables of the model
+
+    @property
+    def workspace(self) -> Mapping[str, Value]:
+        """Return the variables that the model has without masks."""
+        return self.known if self.base is None else self.base
+
+    def masked(self) -> tuple[object, ...]:
+        """Return what masks around it change of the workspace, as a key."""
+        changed = {name: value for name, value in self.known.items() if self.workspace.get(name) is not value}
+        gone = [name for name in self.workspace if name not in self.known]
+        return (*gone, *((name, np.shape(value), repr(value) if not isinstance(value, np.ndarray) else value.tobytes())
+                         for name, value in changed.items()))  # fmt: skip
 
     def inner(self, own: Mapping[str, str], code: str = "") -> Scope:
         """Return the scope of a masked subsystem: its mask's parameters, and what the code of the mask assigns."""
@@ -131,7 +144,8 @@ class Scope:
         if code:
             known, _ = assignments(code, known)
         plain = {name: text for name, text in own.items() if not isinstance(known.get(name), str)}
-        return Scope(known, {name: text for name, text in plain.items() if _same(known, name, text, self.known)})
+        return Scope(known, {name: text for name, text in plain.items() if _same(known, name, text, self.known)},
+                     base=self.workspace)  # fmt: skip
 
     def value(self, text: str) -> Value:
         """Return the value of an expression. Raises Unknown."""

@@ -607,7 +607,9 @@ def _(at: At) -> None:
         raise Refused(f"a table of {dimensions} dimensions with {interpolation!r}", "Use LookupTable or LookupTable2D.")
     values = at.matrix(keys[0], "tanh([-5:5])")
     if values.size > MOST_POINTS:
-        raise Refused(f"its table has {values.size:,} values, and {MOST_POINTS:,} are the most", "Use a Table of a file.")
+        raise Refused(
+            f"its table has {values.size:,} values, and {MOST_POINTS:,} are the most", "Use a Table of a file."
+        )
     if dimensions == 1:
         if values.size != points[0].size:
             raise Refused(f"its table has {values.size} values for {points[0].size} points")

@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 from ..fmi.description import read_description
-from .numbers import Scope, variables
+from .numbers import MOST_ELEMENTS, Scope, variables
 from .rules_math import rule, translated
 from .signals import CONSTANT, CONTINUOUS, Attr, Field, Out, Own, Rate, joined, outputs_of
-from .systems import MOST_PORTS, At, Mapped, Refused, map_system, whole
+from .systems import MOST_BLOCKS, MOST_PORTS, At, Mapped, Refused, map_system, whole
 from .tree import Block, System
 
 # --- vectors and buses -----------------------------------------------------------------------------------------------
@@ -301,7 +301,9 @@ def _(at: At) -> None:
     if block.system is None:
         raise Refused("a subsystem without content")
     mask = block.mask
-    scope = at.scope.inner(mask.parameters, mask.initialization) if mask else Scope(at.scope.known)
+    scope = (
+        at.scope.inner(mask.parameters, mask.initialization) if mask else Scope(at.scope.known, base=at.scope.workspace)
+    )
     if mask:
         scope = at.scope.inner(
             {name: block.values.get(name, text) for name, text in mask.parameters.items()}, mask.initialization
@@ -316,11 +318,8 @@ def _(at: At) -> None:
     model = at.context.open_model(name)
     if model is None:
         raise Refused(f"there is no {name}.slx and no {name}.mdl beside the model", "Put the file there.")
-    if at.context.depth > 20:
-        raise Refused("models refer to each other")
-    known, _ = variables(model, at.scope.known)
-    context = replace(at.context, model=model, depth=at.context.depth + 1)
-    _inside(at, context, model.system, Scope(known))
+    known, _ = variables(model, at.scope.workspace)  # masks around it are not seen there
+    _inside(at, at.context.inside(model, name), model.system, Scope(known))
 
 
 @rule("FMU")
@@ -346,7 +345,7 @@ def linked(at: At) -> None:
     """Map a link into a library whose file lies beside the model."""
     name, _, path = at.text("SourceBlock", "").partition("/")
     library = at.context.open_model(name)
-    if library is None or at.context.depth > 20:
+    if library is None:
         raise Refused(f"a link to {at.text('SourceBlock').replace(chr(10), ' ')!r}, which is not here",
                       f"Put {name}.slx beside the model, or break the link there.")  # fmt: skip
     inside: System | None = library.system
@@ -365,7 +364,7 @@ def linked(at: At) -> None:
         ports=at.block.ports or found.ports,
     )
     inner = At(at.drawing, one)
-    inner.context, inner.part = replace(at.context, model=library, depth=at.context.depth + 1), at.part
+    inner.context, inner.part = at.context.inside(library, at.text("SourceBlock")), at.part
     function = at.context.rule_of(one)
     if function is None:
         raise Refused(f"no equal of {found.type} here")
@@ -386,10 +385,15 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
     controls = [block for block in system.blocks.values() if block.type in ("EnablePort", "TriggerPort", "ActionPort")]
     if len(controls) > 1:
         raise Refused("it is enabled and triggered", "Put a triggered subdiagram into an enabled one.")
-    key = (at.block.path, tuple(sorted(attrs.items())), context.fallback, tuple(sorted(scope.own.items())), id(system))
+    key = (at.block.path, tuple(sorted(attrs.items())), context.fallback, tuple(sorted(scope.own.items())), id(system),
+           context.opened, scope.masked())  # fmt: skip
     mapped = context.kept.get(key)
     if mapped is None:
-        mapped = context.kept[key] = map_system(context, system, scope, attrs)
+        at.context.left[0] -= len(system.blocks) + 1
+        if at.context.left[0] > 0:
+            mapped = context.kept[key] = map_system(context, system, scope, attrs)
+    if mapped is None or mapped.size > MOST_BLOCKS:
+        raise Refused("with all that it refers to, it has too many blocks", "Import its parts.")
     at.part.is_late |= mapped.is_late
     entry: dict[str, Any] = {"diagram": mapped.body}
     given = {name: mapped.scope.handed(name, at.scope) for name in mapped.used}

@@ -37,6 +37,8 @@ from .tree import Block, End, Model, System
 Rule = Callable[["At"], None]
 MOST_ROUNDS = 60
 MOST_PORTS = 1000
+MOST_BLOCKS = 50_000  # of all systems, with those of libraries as often as they are used
+DEEPEST = 20  # models and links in each other
 ENDLESS = 1e100  # what stands for infinity in a diagram
 _SCALE = (1.7, 1.4)  # of positions: blocks of a diagram have their types inside, and are larger
 
@@ -66,6 +68,7 @@ class Mapped:
     named: list[str]
     stops: list[str]
     is_late: bool
+    size: int  # its blocks, with those inside
 
 
 @dataclass(slots=True)
@@ -81,10 +84,14 @@ class Context:
     folder: Path
     fallback: Raw | None = None
     kept: dict[Any, Mapped] = field(default_factory=dict)
-    depth: int = 0
+    opened: tuple[str, ...] = ()  # the models and links that lie around a system
+    left: list[int] = field(default_factory=lambda: [MOST_BLOCKS])  # how many blocks may still be mapped
 
-    def inside(self, model: Model) -> Context:
-        return replace(self, model=model)
+    def inside(self, model: Model, name: str) -> Context:
+        """Return the context of what a model or a link refers to. Raises Refused where it refers to itself."""
+        if name in self.opened or len(self.opened) >= DEEPEST:
+            raise Refused("models or links refer to each other")
+        return replace(self, model=model, opened=(*self.opened, name))
 
 
 @dataclass(slots=True)
@@ -195,13 +202,6 @@ class At:
         if not re.fullmatch(r"\d+", text, re.ASCII):
             return None
         return whole(Raw(text, float(text)), key, 0, MOST_PORTS)
-
-    def whole_numbers(self, text: str) -> list[int]:
-        """Return the elements of an expression that are sizes, indices or cases."""
-        values = [one.value for one in self.scope.raws(text)]
-        if not all(abs(value) < 2**31 and value == int(value) for value in values):
-            raise Refused(f"{text[:80]!r} are no whole numbers")
-        return [int(value) for value in values]
 
     def is_on(self, key: str, default: str = "off") -> bool:
         return self.text(key, default) == "on"
@@ -698,7 +698,8 @@ def _linked(drawing: Drawing) -> Mapped:
     used = [name for name in drawing.scope.used if re.search(rf"\b{name}\b", written)]
     body["parameters"] = {name: _plain(drawing.scope.used[name]) for name in used}
     body = {key: value for key, value in body.items() if value}
-    return Mapped(body, outs, drawing.scope, used, drawing.names, notes, log, named, stops, is_late)
+    size = len(body.get("blocks", ())) + sum(part.inner.size for part in drawing.parts.values() if part.inner)
+    return Mapped(body, outs, drawing.scope, used, drawing.names, notes, log, named, stops, is_late, size)
 
 
 def _plain(value: float) -> float | int:

@@ -1,0 +1,183 @@
+"""What would make an import endless, end it in a trace, or give a wrong number without a word."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import from_simulink
+from blocks.api.simulink_import import FromSimulink
+from blocks.simulink import Block, Mask, System
+from tests.support.simulink_files import FORMS, block, line, model, system
+
+
+def _made(folder: Path, inside: System, name: str = "m", **more: Any) -> FromSimulink:
+    return from_simulink(FORMS["mdl"](model(name, inside, **more), folder))
+
+
+def _beside(folder: Path, name: str, inside: System, kind: str = "Model") -> None:
+    FORMS["mdl"](model(name, inside, kind), folder)
+
+
+def _chain(*blocks: Block, ends: str = "y") -> System:
+    """Return blocks one behind the other, with an Outport at the end."""
+    drawn = [*blocks, block("Outport", ends, 900, {}, {"in": 1})]
+    return system(drawn, [line((a.name, "1"), (b.name, "1")) for a, b in zip(drawn, drawn[1:], strict=False)])
+
+
+def _gain(k: str, name: str = "g", sid: int = 2) -> Block:
+    return block("Gain", name, sid, {"Gain": k}, {"in": 1, "out": 1})
+
+
+def _constant(value: str, name: str = "c", sid: int = 1) -> Block:
+    return block("Constant", name, sid, {"Value": value}, {"out": 1})
+
+
+INPORT = block("Inport", "u", 11, {}, {"out": 1})
+
+
+def _inside(name: str, sid: int, inside: System, mask: Mask | None = None) -> Block:
+    return block("SubSystem", name, sid, {}, {"in": 1, "out": 1}, inside=inside, mask=mask)
+
+
+# --- sizes -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_mux_that_feeds_itself_and_muxes_of_muxes_end(tmp_path: Path) -> None:
+    begun = time.perf_counter()
+    loop = system([block("Mux", "m", 1, {}, {"in": 2, "out": 1})], [line(("m", "1"), ("m", "1"), ("m", "2"))])
+    assert "depends on itself" in _made(tmp_path, loop).report.of("left out")[0].what
+    blocks, lines = [_constant("1")], []
+    for k in range(14):
+        blocks.append(block("Mux", f"m{k}", k + 2, {}, {"in": 2, "out": 1}))
+        lines.append(line((blocks[-2].name, "1"), (f"m{k}", "1"), (f"m{k}", "2")))
+    report = _made(tmp_path, system(blocks, lines)).report
+    assert [entry.what for entry in report.of("left out")] == [
+        "its output has 16,384 elements, and 10,000 are the most"
+    ]
+    assert time.perf_counter() - begun < 30
+
+
+@pytest.mark.parametrize("kind, values", [
+    ("Mux", {"Inputs": "999999999"}), ("BusCreator", {"Inputs": "9" * 5000}), ("Demux", {"Outputs": "999999999"}),
+    ("Demux", {"Outputs": "inf"}), ("MinMax", {"Inputs": "999999999"}), ("Logic", {"Inputs": "999999999"}),
+    ("Selector", {"Indices": "inf"}), ("Selector", {"Indices": "ones(1,1e6)"}), ("Gain", {"Gain": "ones(1,1e5)"}),
+    ("Concatenate", {"NumInputs": "999999999"}), ("SwitchCase", {"CaseConditions": "{-inf}"}),
+    ("Lookup", {"InputValues": "1:200000", "Table": "1:200000"}),
+])  # fmt: skip
+def test_huge_sizes_are_told_at_once(kind: str, values: dict[str, str], tmp_path: Path) -> None:
+    begun = time.perf_counter()
+    _made(tmp_path, _chain(_constant("1"), block(kind, "b", 2, values, {"in": 1, "out": 1})))
+    assert time.perf_counter() - begun < 5
+
+
+@pytest.mark.parametrize("size", ["inf", "[2 3]", "999999999", "nobody"])
+def test_an_inport_whose_size_is_refused_stays_an_input(size: str, tmp_path: Path) -> None:
+    drawn = block("Inport", "u", 1, {"PortDimensions": size}, {"out": 1})
+    diagram, report = _made(tmp_path, _chain(drawn))
+    assert [entry.path for entry in report.entries] == ["u"]
+    assert [*diagram.to_json()["inputs"]] == ["u"]
+
+
+def test_sizes_reach_the_end_of_a_long_chain_that_is_written_backwards(tmp_path: Path) -> None:
+    drawn = _chain(_constant("[1 2 3]"), *[_gain("1", f"g{k}", k + 2) for k in range(150)])
+    backwards = System(dict(reversed(drawn.blocks.items())), drawn.lines, [], {})
+    diagram, report = _made(tmp_path, backwards)
+    assert report.is_whole
+    assert diagram.run(stop=1)["y"][-1].tolist() == [1, 2, 3]
+
+
+def test_thousands_of_blocks_that_pass_a_signal_on_are_followed(tmp_path: Path) -> None:
+    passing = [block("SignalConversion", f"s{k}", k + 2, {}, {"in": 1, "out": 1}) for k in range(2000)]
+    diagram, _ = _made(tmp_path, _chain(_constant("4"), *passing))
+    assert diagram.to_json()["outputs"] == {"y": "c.y"}
+
+
+# --- ports and signals of subsystems ---------------------------------------------------------------------------------
+
+
+def test_a_scope_inside_may_show_what_arrives(tmp_path: Path) -> None:
+    shown = system([INPORT, block("Scope", "s", 12, {}, {"in": 1})], [line(("u", "1"), ("s", "1"))])
+    around = system([INPORT, _inside("below", 13, shown)], [line(("u", "1"), ("below", "1"))])
+    drawn = _chain(_gain("2"), ends="y")
+    drawn.blocks["c"], drawn.blocks["s"] = _constant("3"), _inside("s", 5, around)
+    drawn.lines.append(line(("c", "1"), ("g", "1"), ("s", "1")))
+    results = _made(tmp_path, drawn).diagram.run(stop=1)
+    assert results["c.y"][-1] == 3
+    assert results["y"][-1] == 6
+
+
+def test_a_commented_inport_and_a_port_that_is_no_number_are_no_traces(tmp_path: Path) -> None:
+    off = block("Inport", "off", 12, {"Port": "2", "Commented": "on"}, {"out": 1})
+    odd = block("Inport", "odd", 13, {"Port": "'x'"}, {"out": 1})
+    inner = system([INPORT, off, odd, _gain("2")], [line(("u", "1"), ("g", "1"))])
+    assert _made(tmp_path, _chain(_constant("1"), _inside("s", 3, inner))).diagram.to_json()["blocks"]["s"]
+
+
+# --- libraries and referenced models ---------------------------------------------------------------------------------
+
+
+def _link(name: str, sid: int, source: str, **values: str) -> Block:
+    return block("Reference", name, sid, {"SourceBlock": source, "SourceType": "SubSystem", **values},
+                 {"in": 1, "out": 1})  # fmt: skip
+
+
+def _two(first: Block, second: Block) -> System:
+    ends = [block("Outport", f"y{k}", 90 + k, {}, {"in": 1}) for k in (1, 2)]
+    lines = [line(("c", "1"), (first.name, "1"), (second.name, "1"))]
+    lines += [line((one.name, "1"), (end.name, "1")) for one, end in zip((first, second), ends, strict=True)]
+    return system([_constant("1"), first, second, *ends], lines)
+
+
+def test_two_links_keep_their_values_in_a_subsystem_of_the_link(tmp_path: Path) -> None:
+    core = _inside("n", 20, _chain(INPORT, _gain("k")))
+    pair = _inside("n", 20, _chain(INPORT, _gain("k")), Mask("m", {"k": "[k 1]"}))
+    library = [
+        _inside("amp", 1, _chain(INPORT, core), Mask("m", {"k": "2"})),
+        _inside("pair", 2, _chain(INPORT, pair), Mask("m", {"k": "2"})),
+    ]
+    _beside(tmp_path, "parts", system(library), "Library")
+    results = _made(tmp_path, _two(_link("a", 2, "parts/amp", k="5"), _link("b", 3, "parts/amp", k="7"))).diagram.run()
+    assert (results["y1"][-1], results["y2"][-1]) == (5, 7)
+    results = _made(
+        tmp_path, _two(_link("a", 2, "parts/pair", k="5"), _link("b", 3, "parts/pair", k="7"))
+    ).diagram.run()
+    assert (results["y1"][-1].tolist(), results["y2"][-1].tolist()) == ([5, 1], [7, 1])
+
+
+def test_a_referenced_model_does_not_see_the_masks_around_it(tmp_path: Path) -> None:
+    _beside(tmp_path, "part", _chain(INPORT, _gain("k")))
+    reference = block("ModelReference", "r", 12, {"ModelName": "part"}, {"in": 1, "out": 1})
+    drawn = _chain(_constant("1"), _inside("s", 3, _chain(INPORT, reference), Mask("m", {"k": "9"})))
+    assert _made(tmp_path, drawn, callbacks={"InitFcn": "k = 3;"}).diagram.run()["y"][-1] == 3
+
+
+def test_what_refers_to_itself_is_left_out(tmp_path: Path) -> None:
+    begun = time.perf_counter()
+    both = [block("ModelReference", name, k, {"ModelName": "own"}, {"in": 1, "out": 1}) for k, name in enumerate("ab")]
+    _beside(tmp_path, "own", system([INPORT, *both]))
+    _beside(tmp_path, "p", system([_link("x", 1, "q/x")]), "Library")
+    _beside(tmp_path, "q", system([_link("x", 1, "p/x")]), "Library")
+    report = from_simulink(tmp_path / "own.mdl").report
+    assert [entry.what for entry in report.of("left out")] == ["models or links refer to each other"] * 2
+    report = _made(tmp_path, _chain(_constant("1"), _link("l", 2, "p/x"))).report
+    assert [entry.what for entry in report.of("left out")] == ["models or links refer to each other"]
+    for k in range(18):  # each holds the next one twice
+        pair = [block("ModelReference", name, i, {"ModelName": f"n{k + 1}"}, {"in": 1}) for i, name in enumerate("ab")]
+        _beside(tmp_path, f"n{k}", system(pair))
+    _beside(tmp_path, "n18", system([_constant("1")]))
+    assert "too many blocks" in str(from_simulink(tmp_path / "n0.mdl").report)
+    assert time.perf_counter() - begun < 30
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+def test_true_is_a_value_and_no_variable(tmp_path: Path) -> None:
+    diagram, report = _made(tmp_path, _chain(_constant("true"), _gain("true*3")))
+    assert report.is_whole
+    assert np.all(diagram.run(stop=1)["y"] == 3)
