@@ -124,10 +124,13 @@ def _unread(lines: Sequence[tuple[str, Unread]], model: str) -> list[Entry]:
     """Return an entry for each file or callback with code that is not read and may give variables."""
     found: dict[str, list[Unread]] = {}
     for place, one in lines:
-        if "=" in one.text or re.match(r"\s*(load|run|evalin|assignin)\b", one.text):
+        if not one.text or "=" in one.text or re.match(r"\s*(load|run|evalin|assignin)\b", one.text):
             found.setdefault(place, []).append(one)
     entries, cure = [], "Save its variables in a .mat file if the model needs them."
     for place, rest in found.items():
+        if not rest[0].text:
+            entries.append(Entry("unknown", place, f"it is not read: {rest[0].why}", cure))
+            continue
         first = f"first line {rest[0].line} ({one_line(rest[0].text)[:60]}): {rest[0].why}"
         entries.append(Entry("decided", place, f"{counted(len(rest), 'line')} not read, {first}", cure))
     return entries

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import re
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..host.plain_files import opened
+from ..results.mat_check import check
 from ..text.errors import Fault, UsageError
 from .matlab import Unread, Value, assignments, evaluate, names_in
 from .matlab_functions import NoValue
@@ -71,9 +73,15 @@ def values_of_mat(path: Path) -> dict[str, Value]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
+    def refused(what: str, cure: str = "") -> ValueError:
+        return ValueError(what.rstrip(".").removeprefix("cannot be read: "))
+
+    with opened(path) as stream:
+        data = stream.read()
+    if not data.startswith(b"MATLAB 7.3"):
+        check(data, refused)  # a damaged file may end SciPy, and the process
     try:
-        with opened(path) as stream:
-            held = loadmat(stream, struct_as_record=False)
+        held = loadmat(io.BytesIO(data), struct_as_record=False)
     except (MatReadError, TypeError, KeyError, IndexError, EOFError) as error:
         raise ValueError(f"it is no MAT file that can be read ({type(error).__name__})") from None
     values = {name: _of_object(value) for name, value in held.items() if not name.startswith("__")}

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
-from blocks import from_simulink
+from blocks import UsageError, from_simulink
 from blocks.api.simulink_import import FromSimulink
 from blocks.simulink import Block, Mask, System
 from tests.support.simulink_files import FORMS, block, line, model, system
@@ -181,3 +183,20 @@ def test_true_is_a_value_and_no_variable(tmp_path: Path) -> None:
     diagram, report = _made(tmp_path, _chain(_constant("true"), _gain("true*3")))
     assert report.is_whole
     assert np.all(diagram.run(stop=1)["y"] == 3)
+
+
+def test_a_damaged_mat_file_is_refused_before_scipy_reads_it(tmp_path: Path) -> None:
+    savemat(tmp_path / "w.mat", {"k": 2.0, "s": {"a": np.array([1, "b"], dtype=object)}})
+    whole, broken = (tmp_path / "w.mat").read_bytes(), tmp_path / "broken.mat"
+    drawn = FORMS["mdl"](model("m", _chain(_constant("k"))), tmp_path)
+    assert from_simulink(drawn, tmp_path / "w.mat").report.is_whole
+    for at in range(128, len(whole), 3):  # some of them end the process where SciPy reads them
+        broken.write_bytes(whole[:at] + b"\xff" + whole[at + 1 :])
+        with suppress(UsageError):
+            from_simulink(drawn, broken)
+
+
+def test_a_script_that_is_too_long_is_told(tmp_path: Path) -> None:
+    (tmp_path / "long.m").write_text("k = 1;\n" * 200_000)
+    report = from_simulink(FORMS["mdl"](model("m", _chain(_constant("2"))), tmp_path), tmp_path / "long.m").report
+    assert [(entry.kind, entry.path) for entry in report.entries] == [("unknown", "long.m")]
