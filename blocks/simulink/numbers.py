@@ -136,8 +136,11 @@ class Scope:
         """Return what masks around it change of the workspace, as a key."""
         changed = {name: value for name, value in self.known.items() if self.workspace.get(name) is not value}
         gone = [name for name in self.workspace if name not in self.known]
-        return (*gone, *((name, np.shape(value), repr(value) if not isinstance(value, np.ndarray) else value.tobytes())
-                         for name, value in changed.items()))  # fmt: skip
+        values = [
+            (name, value.shape, value.tobytes()) if isinstance(value, np.ndarray) else (name, repr(value))
+            for name, value in changed.items()
+        ]
+        return (*gone, *values)
 
     def inner(self, own: Mapping[str, str], code: str = "") -> Scope:
         """Return the scope of a masked subsystem: its mask's parameters, and what the code of the mask assigns."""

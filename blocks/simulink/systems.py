@@ -451,7 +451,8 @@ def _drawn(context: Context, system: System, scope: Scope, inputs: Mapping[str, 
 
 def _along(drawing: Drawing, blocks: Mapping[str, Block]) -> list[str]:
     """Return the blocks in the order of the signals, so that a few rounds reach them all."""
-    value, tags = drawing.context.model.value, {}
+    value = drawing.context.model.value
+    tags: dict[str, str] = {}
     for name, block in blocks.items():
         if block.type == "Goto":
             tags.setdefault(value(block, "GotoTag") or "A", name)
