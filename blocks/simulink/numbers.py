@@ -172,6 +172,9 @@ class Scope:
         text = text.strip()
         names = [name for name in _named(text) if name != "pi"] if _FORMULA.fullmatch(text) else []
         calls = re.search(r"\w\s*\(", text) is not None
+        if not {*re.findall(r"(?<![\w.])[A-Za-z]\w*", text)} <= {*names, "pi"}:  # eps, or what is no name in a diagram
+            value = _number(self.value(text), text)
+            return Raw(_json(value), value)
         if names and not calls and text.count("^") < 2 and not _RESERVED.intersection(names):
             held = {name: self.known.get(name) for name in names}
             unknown = [name for name, value in held.items() if value is None]

@@ -188,6 +188,9 @@ def _block(node: Node, path: tuple[str, ...], scripts: Mapping[str, str], file: 
     values = dict(node.values)
     for data in node.all("InstanceData"):
         values |= data.values
+    for data in node.all("Array"):
+        if data.values.get("Type") == "String" and "PropName" in data.values:
+            values[data.values["PropName"]] = ",".join(text.values.get("", "") for text in data.children)
     kind, name = values.pop("BlockType", node.kind), values.pop("Name", "")
     sid, at = values.pop("SID", ""), (*path, name)
     systems = node.all("System")

@@ -86,7 +86,10 @@ def _(at: At) -> None:
         raise Refused("it has a reset or an external start", "Use two Integrator blocks.")
     speed = at.each("Integrator", {"u": 1}, _start(at, "ICDXDT"), rate=CONTINUOUS, suffix="_rate", number=2)
     n = at.part.outs["2"].attr.n
+    rates = at.part.outs["2"]
     at.each("Integrator", {"u": f"{speed}.y"}, _start(at, "ICX"), rate=CONTINUOUS, n=n)
+    if at.text("ShowOutput", "both") == "dxdt":
+        at.part.outs["1"] = rates
 
 
 def _start(at: At, key: str) -> dict[str, list[Raw]]:
@@ -101,22 +104,18 @@ def _shortened(given: list[Raw]) -> list[Raw]:
     return given[first:]
 
 
-def _ratio(at: At, keys: tuple[str, str] = ("Numerator", "Denominator")) -> tuple[list[Any], list[Any]]:
-    matrix = at.matrix(keys[0], "[1]")
+def _ratio(at: At, default: str) -> tuple[list[Any], list[Any]]:
+    matrix = at.matrix("Numerator", "[1]")
     if matrix.shape[0] > 1 and matrix.shape[1] > 1:
         raise Refused("it has several outputs", "Use StateSpace.")
-    return numbers(_shortened(at.raws(keys[0], "[1]"))), numbers(at.raws(keys[1], "[1 1]"))
+    return numbers(_shortened(at.raws("Numerator", "[1]"))), numbers(at.raws("Denominator", default))
 
 
 @rule("TransferFcn")
 def _(at: At) -> None:
-    if at.context.model.value(at.block, "Denominator") is None:
-        at.note(
-            "decided", "its denominator is not in the file: [1 1], the default of new releases", "Old ones: [1 2 1]."
-        )
-    if at.matrix("Numerator", "[1]").size == 1 and at.matrix("Denominator", "[1 1]").size == 1:
+    if at.matrix("Numerator", "[1]").size == 1 and at.matrix("Denominator", "[1 2 1]").size == 1:
         raise Refused("it is a number", "Use a Gain.")
-    num, den = _ratio(at)
+    num, den = _ratio(at, "[1 2 1]")
     if len(num) > len(den):
         raise Refused("its numerator has a higher degree than its denominator", "Add a fast pole.")
     at.each("TransferFunction", num=num, den=den, rate=CONTINUOUS)
@@ -124,7 +123,7 @@ def _(at: At) -> None:
 
 @rule("ZeroPole")
 def _(at: At) -> None:
-    zeros, poles = at.raws("Zeros", "[1]") if at.matrix("Zeros", "[1]").size else [], at.raws("Poles", "[0 -1]")
+    zeros, poles = at.raws("Zeros", "[1]") if at.matrix("Zeros", "[1]").size else [], at.raws("Poles", "[0 1]")
     at.each("ZeroPoleGain", zeros=numbers(zeros), poles=numbers(poles), k=at.raw("Gain", "[1]").json, rate=CONTINUOUS)
 
 
@@ -213,7 +212,7 @@ def _(at: At) -> None:
         _given(at, "DelayLength", "NumDelays"), "2" if kind == "Delay" else "4"
     )
     start = at.raws(_given(at, "InitialCondition", "X0", "vinit"), "0")
-    rate = at.ticks(_given(at, "SampleTime", "samptime"), ports=[1])
+    rate = at.ticks(_given(at, "SampleTime", "samptime"), "1" if kind == "UnitDelay" else "-1", ports=[1])
     if kind == "Memory":
         at.note("decided", f"it delays by {rate.json} s; there it gives its input at the step before", "")
     if samples == 0:
@@ -235,8 +234,12 @@ def _(at: At) -> None:
 @rule("RateTransition")
 def _(at: At) -> None:
     here, there = at.inherited(), at.own_rate("OutPortSampleTime")
+    if at.text("OutPortSampleTimeOpt", "Specify").startswith("Multiple"):
+        raise Refused("its period is a multiple of that of its input", "Give it a period.")
     start = at.raws(_given(at, "InitialCondition", "X0"), "0")
     if there is None or here == there:
+        if there is None and here is not None and here.is_sampled:
+            at.note("decided", "it passes its input on; to a faster task it is a period late there", "Set its period.")
         at.pass_on()
     elif there.is_sampled and here is not None and here.is_sampled:
         at.each("RateTransition", {"u": 1}, {"y_start": start}, rate=there, period_u=here.json, **_at_ticks(there))
@@ -258,15 +261,13 @@ def _(at: At) -> None:
         or at.text("InitialConditionSource", "internal") != "internal"
     ):
         raise Refused("it has a reset, an external start or another method", "Write it as a block of your own.")
-    rate = at.ticks()
+    rate = at.ticks(default="1")
     gain = at.raws("gainval", "1.0")
     if method.startswith("Accumulation"):
         gain = [
             computed("{}/{}", lambda a, b: a / b if b else math.inf, one, Raw(rate.json, rate.period)) for one in gain
         ]
-    is_first = at.text(
-        _given(at, "InitialConditionSetting", "InitialConditionMode"), "State (most efficient)"
-    ).startswith("Output")
+    is_first = "utput" in at.text(_given(at, "InitialConditionSetting", "InitialConditionMode"), "Output")
     words = _at_ticks(rate) | ({} if form == "forward" else {"form": form})
     if form != "forward" and not is_first:
         words["y_start_of"] = "state"
@@ -284,12 +285,12 @@ def _(at: At) -> None:
 
 @rule("DiscreteTransferFcn", "DiscreteFilter")
 def _(at: At) -> None:
-    num, den = _ratio(at)
+    num, den = _ratio(at, "[1 0.5]")
     if at.block.type == "DiscreteFilter":  # in powers of 1/z
         num = numbers(at.raws("Numerator", "[1]"))
         size = max(len(num), len(den))
         num, den = num + [0] * (size - len(num)), den + [0] * (size - len(den))
-    rate = at.ticks(default="1")
+    rate = at.ticks()
     if any(at.matrix(_given(at, "InitialStates", "InitialDenominatorStates"), "0").ravel()):
         raise Refused("its states do not begin at 0", "Use DiscreteStateSpace.")
     at.each("DiscreteTransferFunction", num=num, den=den, rate=rate, **_at_ticks(rate))
@@ -298,7 +299,7 @@ def _(at: At) -> None:
 @rule("DiscreteZeroPole")
 def _(at: At) -> None:
     zeros, poles, gain = (
-        at.matrix(key, default).ravel() for key, default in (("Zeros", "[1]"), ("Poles", "[0 0.5]"), ("Gain", "1"))
+        at.matrix(key, default).ravel() for key, default in (("Zeros", "[1]"), ("Poles", "[0 1]"), ("Gain", "1"))
     )
     rate = at.ticks(default="1")
     num, den = (np.atleast_1d(np.poly(one)).real.tolist() for one in (zeros, poles))
@@ -349,6 +350,9 @@ def _(at: At) -> None:
     kind = at.text("Controller", "PID")
     p, i, d, n = (at.raw(key, default) for key, default in (("P", "1"), ("I", "1"), ("D", "0"), ("N", "100")))
     p, i, d = (one if letter in kind else ZERO for one, letter in ((p, "P"), (i, "I"), (d, "D")))
+    is_limited, windup = at.is_on("LimitOutput"), at.text("AntiWindupMode", "none")
+    if at.attr(1).n > 1:
+        raise Refused(f"its input has {at.attr(1).n} elements", "Use one for each.")
     if at.text("ControllerParametersSource", "internal") != "internal":
         raise Refused("its gains are signals")
     if at.text("Form", "Parallel") != "Parallel":
@@ -357,11 +361,15 @@ def _(at: At) -> None:
         at.text("ExternalReset", "none") != "none"
         or at.text("InitialConditionSource", "internal") != "internal"
         or at.is_on("TRMode")
+        or at.is_on("TrackingMode")
     ):
         raise Refused("it has a reset, an external start or a tracking input", "Use the PID block.")
+    if any(at.is_on(key) for key in ("LimitIntegrator", "UseExternalTs", "UseKiTs", "UseExternalDerivativeSource")):
+        raise Refused("its integrator has limits, or its period or derivative is a signal", "Use the PID block.")
+    if is_limited and at.text("SatLimitsSource", "internal") != "internal":
+        raise Refused("its limits are signals", "Put a Saturation behind it.")
     if at.text("UseFilter", "on") != "on" and d.value != 0:
         raise Refused("its derivative has no filter", "Give it a filter coefficient N.")
-    is_limited, windup = at.is_on("LimitOutput"), at.text("AntiWindupMode", "none")
     if is_limited and windup not in ("none", "back-calculation"):
         raise Refused(f"its anti-windup is {windup!r}", "Use back-calculation.")
     limits = {}

@@ -120,15 +120,16 @@ def _(at: At) -> None:
 @rule("DiscretePulseGenerator")
 def _(at: At) -> None:
     names = ("Period", "PulseWidth", "PhaseDelay")
-    period, width, delay = (at.raw(name, default) for name, default in zip(names, ("2", "50", "0"), strict=True))
-    if at.text("PulseType", "Time based") == "Sample based":
+    period, width, delay = (at.raw(name, default) for name, default in zip(names, ("2", "1", "0"), strict=True))
+    rate = CONTINUOUS
+    if at.text("PulseType", "Sample based") == "Sample based":
         rate = at.ticks(default="1")
         tick = Raw(rate.json, rate.period)
         width = computed("100*{}/{}", lambda a, b: _divided(100 * a, b), width, period)
         period = computed("{}*{}", lambda a, b: a * b, period, tick)
         delay = computed("{}*{}", lambda a, b: a * b, delay, tick)
     duty = computed("{}/100", lambda a: a / 100, width)
-    at.each("SquareWave", {}, {"high": at.raws("Amplitude", "1")}, rate=CONTINUOUS, period=period.json, duty=duty.json,
+    at.each("SquareWave", {}, {"high": at.raws("Amplitude", "1")}, rate=rate, period=period.json, duty=duty.json,
             at=delay.json or None)  # fmt: skip
 
 
@@ -159,13 +160,13 @@ def _(at: At) -> None:
 def _(at: At) -> None:
     at.add("Expression", expression="t")
     at.out(f"{at.name}.y", CONTINUOUS)
-    at.hold()
+    at.hold(default="1")
 
 
 @rule("RandomNumber", "UniformRandomNumber", "Reference Band-Limited White Noise.", "Reference Continuous White Noise.")
 def _(at: At) -> None:
     is_linked = at.block.type == "Reference"
-    rate = at.ticks("Ts" if is_linked else "SampleTime", "0.1")
+    rate = at.ticks(*(("Ts", "0.1") if is_linked else ("SampleTime", "-1")))
     seed = at.raws("seed" if is_linked else "Seed", "0")[0].json
     words: dict[str, Any] = {"period": rate.json, "seed": seed or None}
     if is_linked:
@@ -193,7 +194,7 @@ def _(at: At) -> None:
         matrix = _of_file(at, at.text("FileName", "untitled.mat"))
         time, values = matrix[:1].T, matrix[1:].T
     else:
-        held: Any = at.scope.value(at.text("VariableName", "simin"))
+        held: Any = at.scope.value(at.text("VariableName", "simulink_input"))
         if isinstance(held, dict):
             signals = held.get("signals")
             time, values = held.get("time"), signals.get("values") if isinstance(signals, dict) else None
@@ -212,6 +213,7 @@ def _(at: At) -> None:
     given = {"times": time.ravel().astype(float).tolist(), "values": columns if len(columns) > 1 else columns[0]}
     at.add("Table", "", len(columns), **given, interpolation=None if is_linear else "hold")
     at.out(f"{at.name}.y", CONTINUOUS, len(columns))
+    at.hold()
 
 
 def _of_file(at: At, name: str) -> Any:
@@ -255,7 +257,11 @@ def _(at: At) -> None:
     if form.startswith("Matrix") and k.size > 1:
         k = k.T if "u*K" in form else k
         n = at.attr(1).n
-        if n not in (k.shape[1], 1):
+        if n == 1 < k.shape[1] and len(k) > 1:
+            raise Refused("its output is a matrix")
+        if n == 1 < k.shape[1]:  # a row times a number is a row
+            k = k.T
+        if n != k.shape[1]:
             raise Refused(f"its matrix has {k.shape[1]} columns for an input of {n} elements")
         at.add("MatrixGain", K=k.tolist())
         at.wire(f"{at.name}.u", 1, k.shape[1], is_vector=True)
@@ -421,7 +427,7 @@ def _(at: At) -> None:
 
 @rule("Fcn")
 def _(at: At) -> None:
-    text = at.text("Expr", "sin(u(1)*exp(2.3*(-u(2))))")
+    text = at.text("Expr", "sin(u[1])")
     expression, elements, names, truths, is_bool = translated(text)
     n = max(elements, default=1)
     if n > max(at.attr(1).n, 1):
@@ -583,13 +589,13 @@ def _(at: At) -> None:
     if kind == "Lookup":
         method = at.text("LookUpMeth", "Interpolation-Extrapolation")
         points, keys = (
-            [at.matrix("InputValues", "[-5:5]").ravel()],
+            [at.matrix("InputValues", "[-4:5]").ravel()],
             ("Table" if "Table" in at.block.values else "OutputValues",),
         )
         interpolation = "hold" if method == "Use Input Below" else "linear" if method.startswith("Interp") else method
         beyond = "linear" if method == "Interpolation-Extrapolation" else "hold"
     elif kind == "Lookup2D":
-        points = [at.matrix(key, "[1:3]").ravel() for key in ("RowIndex", "ColumnIndex")]
+        points = [at.matrix(key, "[0 1]").ravel() for key in ("RowIndex", "ColumnIndex")]
         keys, method = ("Table",), at.text("LookUpMeth", "Interpolation-Extrapolation")
         interpolation, beyond = "linear", "linear" if method == "Interpolation-Extrapolation" else "hold"
     else:
@@ -605,7 +611,7 @@ def _(at: At) -> None:
         or (dimensions == 2 and interpolation == "hold")
     ):
         raise Refused(f"a table of {dimensions} dimensions with {interpolation!r}", "Use LookupTable or LookupTable2D.")
-    values = at.matrix(keys[0], "tanh([-5:5])")
+    values = at.matrix(keys[0], {"Lookup2D": "[0 0; 0 0]", "Lookup_n-D": "[4 5 6; 16 19 20; 10 18 23]"}.get(kind, ""))
     if values.size > MOST_POINTS:
         raise Refused(
             f"its table has {values.size:,} values, and {MOST_POINTS:,} are the most", "Use a Table of a file."
@@ -643,7 +649,7 @@ def _breakpoints(at: At, i: int) -> Any:
         if not math.isfinite(first) or not math.isfinite(step):
             raise Refused("its breakpoints are infinite", "Give finite ones.")
         return first + step * np.arange(table.size if 1 in table.shape else table.shape[i - 1])
-    return at.matrix(f"BreakpointsForDimension{i}", "[1:3]").ravel()
+    return at.matrix(f"BreakpointsForDimension{i}", "[10 22 31]").ravel()
 
 
 # --- logic -----------------------------------------------------------------------------------------------------------
@@ -712,7 +718,9 @@ def _(at: At) -> None:
     form, threshold = at.text("Criteria", "u2 >= Threshold"), at.raws("Threshold", "0")
     ports = {"u1": 1, "u2": 3, "control": 2}
     if form == "u2 ~= 0" or (
-        at.attr(2).is_bool and len(threshold) == 1 and 0 < threshold[0].value + (form == "u2 > Threshold") <= 1
+        at.attr(2).is_bool
+        and len(threshold) == 1
+        and (0 <= threshold[0].value < 1 if form == "u2 > Threshold" else 0 < threshold[0].value <= 1)
     ):
         at.each("Switch", ports, bools=["control"])
     elif form == "u2 > Threshold":
@@ -741,10 +749,9 @@ def _(at: At) -> None:
         at.out(f"{at.name}.y", at.inherited())
     else:
         at.each("MultiportSwitch", {f"u{i}": i + 1 for i in range(1, size + 1)}, size=size)
-    if is_from_0:
-        at.add("Expression", "_index", expression="u1 + 1")
-        at.wire(f"{at.name}_index.u1", 1)
-    at.wire(f"{at.name}.index", f"{at.name}_index.y" if is_from_0 else 1)
+    at.add("Expression", "_index", expression=f"u1 {'+' if is_from_0 else '-'} 0.5")  # cut off there, rounded here
+    at.wire(f"{at.name}_index.u1", 1)
+    at.wire(f"{at.name}.index", f"{at.name}_index.y")
     at.hold()
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..fmi.description import read_description
-from .numbers import MOST_ELEMENTS, Scope, variables
+from .numbers import MOST_ELEMENTS, Raw, Scope, variables
 from .rules_math import rule, translated
 from .signals import CONSTANT, CONTINUOUS, Attr, Field, Out, Own, Rate, joined, outputs_of
 from .systems import MOST_BLOCKS, MOST_PORTS, At, Mapped, Refused, map_system, whole
@@ -18,7 +18,9 @@ from .tree import Block, System
 
 
 def _inputs_of(at: At, default: str) -> int:
-    return at.number_of("Inputs", default) or at.block.ports.get("in") or at.count()
+    """Return the number of inputs: of the file if it says one, else as its ports are counted."""
+    said = None if at.context.model.value(at.block, "Inputs") is None else at.number_of("Inputs", default)
+    return said or at.block.ports.get("in") or at.number_of("Inputs", default) or at.count()
 
 
 def _gathered(at: At, ports: int, names: list[str] | None = None) -> None:
@@ -44,7 +46,7 @@ def _gathered(at: At, ports: int, names: list[str] | None = None) -> None:
 
 @rule("Mux")
 def _(at: At) -> None:
-    _gathered(at, _inputs_of(at, "2"))
+    _gathered(at, _inputs_of(at, "4"))
 
 
 @rule("Concatenate")
@@ -56,8 +58,8 @@ def _(at: At) -> None:
 
 @rule("BusCreator")
 def _(at: At) -> None:
-    ports = _inputs_of(at, "2")
-    given = re.findall(r"'([^']*)'", at.text("Inputs", "2"))
+    ports = _inputs_of(at, "4")
+    given = re.findall(r"'([^']*)'", at.text("Inputs", "4"))
     _gathered(at, ports, [given[i] if i < len(given) else _label(at, i + 1) for i in range(ports)])
 
 
@@ -123,6 +125,8 @@ def _(at: At) -> None:
     number = at.number_of("Outputs", "4")
     given = [whole(one, "Outputs", -1, MOST_PORTS) for one in at.scope.raws(text)] if number is None else []
     count = len(given) if number is None else number
+    if attr.n < count and attr.rate is not None:
+        raise Refused(f"it has {count} outputs for {attr.n} elements")
     if not given:
         size, more = divmod(attr.n, max(count, 1))
         given = [size + (k < more) for k in range(count)] if attr.n >= count else [1] * count
@@ -202,8 +206,6 @@ def _(at: At) -> None:
 @rule("DataTypeConversion", "Reference Data Type Conversion Inherited")
 def _(at: At) -> None:
     kind = at.text("OutDataTypeStr", at.text("OutDataTypeMode", "double"))
-    if re.search(r"int|fix|uint", kind):
-        at.note("decided", f"its type is {kind}; here numbers stay as they are, without rounding or overflow", "")
     if kind == "boolean" and not at.attr(1).is_bool:
         at.each("CompareToConstant", operator="unequal", is_bool=True)
     else:
@@ -300,6 +302,8 @@ def _(at: At) -> None:
         raise Refused(f"a {kind}", "Write its text as a block of your own.")
     if block.system is None:
         raise Refused("a subsystem without content")
+    if block.values.get("Variant", "off") == "on":
+        raise Refused("it has variants, of which one is active", "Keep the active one in its place.")
     mask = block.mask
     scope = (
         at.scope.inner(mask.parameters, mask.initialization) if mask else Scope(at.scope.known, base=at.scope.workspace)
@@ -307,6 +311,10 @@ def _(at: At) -> None:
     if mask:
         scope = at.scope.inner(
             {name: block.values.get(name, text) for name, text in mask.parameters.items()}, mask.initialization
+        )
+    if mask and re.search(r"\b(set_param|(add|delete|replace)_(block|line))\b", mask.initialization):
+        at.note(
+            "unknown", "the code of its mask changes blocks, and is not run", "Look at it there, and save the result."
         )
     _inside(at, at.context, block.system, scope)
 
@@ -318,6 +326,8 @@ def _(at: At) -> None:
     model = at.context.open_model(name)
     if model is None:
         raise Refused(f"there is no {name}.slx and no {name}.mdl beside the model", "Put the file there.")
+    if at.text("ParameterArgumentValues").strip(" ,"):
+        raise Refused("it gives values to the model's arguments", "Set them in the workspace of that model.")
     known, _ = variables(model, at.scope.workspace)  # masks around it are not seen there
     _inside(at, at.context.inside(model, name), model.system, Scope(known))
 
@@ -382,7 +392,15 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
         if not re.fullmatch(r"\d{1,4}", port, re.ASCII):
             raise Refused(f"the number of its port is {port[:20]!r}")
     attrs = {port: at.attr(port) for port in inports}
+    rate = at.own_rate("SystemSampleTime") if at.is_on("TreatAsAtomicUnit") else None
+    held: list[str] = []
+    if rate is not None and rate.is_sampled:
+        context = replace(context, fallback=Raw(rate.json, rate.period))
+        held = [port for port in inports if attrs[port].rate not in (rate, CONSTANT)]
+        attrs = {port: replace(attr, rate=rate) for port, attr in attrs.items()}
     controls = [block for block in system.blocks.values() if block.type in ("EnablePort", "TriggerPort", "ActionPort")]
+    if any(at.context.model.value(block, "ShowOutputPort") == "on" for block in controls):
+        raise Refused("its enable or trigger signal is read inside", "Bring it in by an Inport.")
     if len(controls) > 1:
         raise Refused("it is enabled and triggered", "Put a triggered subdiagram into an enabled one.")
     key = (at.block.path, tuple(sorted(attrs.items())), context.fallback, tuple(sorted(scope.own.items())), id(system),
@@ -404,13 +422,14 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
     for control in controls:
         _control(at, entry, control, system)
     for port, name in inports.items():
-        attr = attrs[port]
-        at.wire(f"{at.name}.{mapped.names[name]}", at.own(port), attr.n, is_bool=attr.is_bool, is_vector=attr.n > 1)
-    rate = at.own_rate("SystemSampleTime") if at.text("SystemSampleTime", "-1") not in ("-1", "") else None
-    if rate is not None and rate.is_sampled:
-        at.note(
-            "decided", f"its sample time of {rate.json} s is that of its sampled blocks only", "Give them the period."
-        )
+        attr, arriving = attrs[port], at.own(port)  # type: Attr, Own | str
+        if rate is not None and port in held:
+            hold = at.add(
+                "ZeroOrderHold", f"_{mapped.names[name]}", attr.n, period=rate.json, offset=rate.offset or None
+            )
+            at.wire(f"{hold}.u", arriving, attr.n)
+            arriving = f"{hold}.y"
+        at.wire(f"{at.name}.{mapped.names[name]}", arriving, attr.n, is_bool=attr.is_bool, is_vector=attr.n > 1)
     for name, block in shown.items():
         if block.type == "Outport" and block.values.get("Port", "1") in mapped.outs:
             number = block.values.get("Port", "1")

@@ -19,7 +19,7 @@ class Rate:
 
     period: float
     offset: float = 0.0
-    json: Any = None
+    json: Any = field(default=None, compare=False)
 
     @property
     def is_sampled(self) -> bool:

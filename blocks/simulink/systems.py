@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..text.errors import FMUError
+from .matlab import names_in
 from .matlab_functions import NoValue
 from .numbers import MOST_ELEMENTS, Raw, Scope, Unknown
 from .signals import (
@@ -174,6 +175,7 @@ class At:
     def __init__(self, drawing: Drawing, block: Block) -> None:
         self.drawing, self.block, self.part = drawing, block, Part()
         self.name, self.scope, self.context = drawing.names[block.name], drawing.scope, drawing.context
+        self.is_timed = False  # whether its rule has read its sample time
 
     # --- what the model says ---------------------------------------------------------------------------------------
 
@@ -220,6 +222,7 @@ class At:
 
     def own_rate(self, key: str = "SampleTime", default: str = "-1") -> Rate | None:
         """Return the sample time of the block; None where it is inherited."""
+        self.is_timed = True
         given = self.raws(key, default)
         if len(given) > 2 or not given:
             raise Refused(f"{key} is no sample time")
@@ -233,7 +236,18 @@ class At:
         return CONSTANT if period.value == float("inf") else rate_of(period, offset)
 
     def inherited(self, ports: Iterable[str | int] | None = None) -> Rate | None:
-        return joined([self.attr(port).rate for port in ports or range(1, self.count() + 1)])
+        return self._here(joined([self.attr(port).rate for port in ports or range(1, self.count() + 1)]))
+
+    def _here(self, rate: Rate | None) -> Rate | None:
+        """Return a rate of another system, whose period may be a variable there, as this system can say it."""
+        if rate is None or not isinstance(rate.json, str):
+            return rate
+        text, period = rate.json.removeprefix("=").replace("**", "^"), rate.period
+        if all(name in self.scope.known for name in names_in(text)):
+            found = self.scope.raw(text)
+            if found.value == period:
+                return replace(rate, json=found.json)
+        return rate if period != period else replace(rate, json=period)
 
     def ticks(self, key: str = "SampleTime", default: str = "-1", ports: Iterable[str | int] | None = None) -> Rate:
         """Return the rate of a sampled block, its own or inherited."""
@@ -244,7 +258,7 @@ class At:
         given = self.context.fallback or Raw(1, 1.0)
         kind = "that of a continuous signal" if rate == CONTINUOUS else "inherited, and nothing gives one"
         self.note("decided", f"its sample time is {kind}: {given.json} s is taken", "Set its period.")
-        return Rate(given.value, 0.0, given.json)
+        return self._here(Rate(given.value, 0.0, given.json)) or CONTINUOUS
 
     def is_read(self, port: str) -> bool:
         """Return whether a line begins at an output."""
@@ -371,9 +385,9 @@ class At:
         self.wire(f"{self.name}.{source}", 1)
         self.out(f"{self.name}.{output}", rate)
 
-    def hold(self, key: str = "SampleTime", number: str | int = 1) -> None:
+    def hold(self, key: str = "SampleTime", number: str | int = 1, default: str = "-1") -> None:
         """Hold the output from tick to tick if the block has a sample time of its own."""
-        rate = self.own_rate(key)
+        rate = self.own_rate(key, default)
         out = self.part.outs.get(str(number))
         if rate is None or out is None or not rate.is_sampled or out.attr.rate in (rate, CONSTANT):
             return
@@ -381,7 +395,8 @@ class At:
         assert isinstance(source, str)
         if out.attr.is_bool:
             raise Refused("a truth value that is sampled", "Sample its inputs.")
-        name = self.add("ZeroOrderHold", "_hold", n, period=rate.json, offset=rate.offset or None)
+        suffix = "_hold" if str(number) == "1" else f"_hold{number}"
+        name = self.add("ZeroOrderHold", suffix, n, period=rate.json, offset=rate.offset or None)
         self.wire(f"{name}.u", source, n)
         self.out(f"{name}.y", rate, n, number)
 
@@ -396,9 +411,12 @@ def map_system(context: Context, system: System, scope: Scope, inputs: Mapping[s
         drawing = _drawn(context, system, scope, inputs, reserved)
         mapped = _linked(drawing)
         taken = {*mapped.used, *scope.missing}
-        if not taken & {*mapped.body.get("blocks", ()), *mapped.body.get("inputs", ())}:
+        made = {key for name, part in drawing.parts.items() for key in part.blocks if key != drawing.names[name]}
+        if not taken & {*mapped.body.get("blocks", ()), *mapped.body.get("inputs", ())} | made & {
+            *drawing.names.values()
+        }:
             break
-        reserved = taken
+        reserved = reserved | taken | made
     return mapped
 
 
@@ -473,6 +491,26 @@ def _along(drawing: Drawing, blocks: Mapping[str, Block]) -> list[str]:
     return list(order)
 
 
+_FROM_DIALOG = {"NumeratorSource": "Dialog", "DenominatorSource": "Dialog", "InitialStatesSource": "Dialog"}
+_ONLY: dict[str, dict[str, str]] = {
+    "DiscreteFilter": _FROM_DIALOG | {"ExternalReset": "None"},
+    "DiscreteTransferFcn": _FROM_DIALOG | {"ExternalReset": "None"},
+    "DiscreteFir": {"CoefSource": "Dialog parameters", "FilterStructure": "Direct form", "InitialStates": "0"},
+    "DiscretePulseGenerator": {"TimeSource": "Use simulation time"},
+    "Lookup_n-D": {"DataSpecification": "Table and breakpoints", "TableSource": "Dialog",
+                   "BreakpointsForDimension1Source": "Dialog", "BreakpointsForDimension2Source": "Dialog",
+                   "UseOneInputPortForAllInputData": "off", "UseLastTableValue": "off"},
+    "Saturate": {"UpperLimitSource": "Dialog", "LowerLimitSource": "Dialog"},
+    "Selector": {"InputType": "Vector", "ElementSrc": "Internal"},
+    "SignalGenerator": {"TimeSource": "Use simulation time"},
+    "Product": {"CollapseMode": "All dimensions"}, "Sum": {"CollapseMode": "All dimensions"},
+}  # fmt: skip
+"""Options by BlockType with the one value that has an equal here."""
+
+
+_UNTIMED = {"Inport", "ManualSwitch", "ModelReference", "Reference", "SubSystem"}  # there it may be a mask's parameter
+
+
 def _part(drawing: Drawing, block: Block) -> Part:
     rule = drawing.context.rule_of(block)
     at = At(drawing, block)
@@ -480,11 +518,25 @@ def _part(drawing: Drawing, block: Block) -> Part:
     try:
         if rule is None:
             raise Refused(f"no equal of {_kind(block)} here", "Write it as a block of your own.")
+        own = block.mask.parameters if block.mask and block.type not in ("SubSystem", "Reference") else {}
+        if any(re.search(rf"\b{name}\b", text) for name in own for key, text in block.values.items() if key not in own):
+            raise Refused("its mask has parameters", "Write their values into the block.")
+        for key, only in _ONLY.get(block.type, {}).items():
+            if at.text(key, only) != only:
+                raise Refused(f"its {key} is {at.text(key)[:40]!r}", f"Here it is always {only!r}.")
         rule(at)
         if drawing.scope.missing:
             named = ", ".join(drawing.scope.missing)
             cure = f"Give {named} by --workspace, or as a parameter of the diagram."
             at.note("unknown", f"no value for {named}", cure)
+        if not at.is_timed and "SampleTime" in block.values and block.type not in _UNTIMED:
+            for number, out in list(at.part.outs.items()):
+                if isinstance(out.whole, str):
+                    at.hold(number=number)
+        kind = at.text("OutDataTypeStr") or at.text("OutDataTypeMode")
+        kind = at.text("OutDataType") if kind == "Specify via dialog" else kind
+        if re.match(r"u?int\d|fixdt|[su]fix|float\(", kind):
+            at.note("decided", f"its type is {kind}; here numbers stay as they are, without rounding or overflow", "")
     except (Refused, Unknown, NoValue, OSError, ValueError, FMUError) as refused:
         unknown = ", ".join(getattr(refused, "names", ()))
         cure = f"Give {unknown} by --workspace." if unknown else str(getattr(refused, "cure", ""))
@@ -642,7 +694,7 @@ def _linked(drawing: Drawing) -> Mapped:
         if block.type == "Inport":
             attr = part.outs["1"].attr
             entry: dict[str, Any] = {"size": attr.n} if attr.n > 1 else {}
-            body["inputs"][ours] = entry | ({"type": "bool"} if attr.is_bool else {}) | {"default": 0}
+            body["inputs"][ours] = entry | ({"type": "bool", "default": False} if attr.is_bool else {"default": 0})
         for key, given in part.blocks.items():
             body["blocks"][key] = given
         if ours in part.blocks and ours != name:
@@ -680,9 +732,11 @@ def _linked(drawing: Drawing) -> Mapped:
         if block.type == "Outport":
             number, ours = block.values.get("Port", "1"), drawing.names[name]
             reading = (name, "1")
-            source, _ = wiring.one_source(Own(reading), ours)
+            source, n = wiring.one_source(Own(reading), ours)
             body["outputs"][ours] = source
             outs[number] = drawing.attr(reading)
+            if n > 1 and drawing.whole(Own(reading)) is None:  # gathered by a Mux, as numbers
+                outs[number] = replace(outs[number], is_bool=False)
             taken.add(ours)
     for name, part in drawing.parts.items():
         for wanted, reading in part.outputs.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -28,7 +29,7 @@ def _beside(folder: Path, name: str, inside: System, kind: str = "Model") -> Non
 def _chain(*blocks: Block, ends: str = "y") -> System:
     """Return blocks one behind the other, with an Outport at the end."""
     drawn = [*blocks, block("Outport", ends, 900, {}, {"in": 1})]
-    return system(drawn, [line((a.name, "1"), (b.name, "1")) for a, b in zip(drawn, drawn[1:], strict=False)])
+    return system(drawn, [line((a.name, "1"), (b.name, "1")) for a, b in itertools.pairwise(drawn)])
 
 
 def _gain(k: str, name: str = "g", sid: int = 2) -> Block:
@@ -64,7 +65,7 @@ def test_a_mux_that_feeds_itself_and_muxes_of_muxes_end(tmp_path: Path) -> None:
     assert time.perf_counter() - begun < 30
 
 
-@pytest.mark.parametrize("kind, values", [
+@pytest.mark.parametrize(("kind", "values"), [
     ("Mux", {"Inputs": "999999999"}), ("BusCreator", {"Inputs": "9" * 5000}), ("Demux", {"Outputs": "999999999"}),
     ("Demux", {"Outputs": "inf"}), ("MinMax", {"Inputs": "999999999"}), ("Logic", {"Inputs": "999999999"}),
     ("Selector", {"Indices": "inf"}), ("Selector", {"Indices": "ones(1,1e6)"}), ("Gain", {"Gain": "ones(1,1e5)"}),

@@ -398,7 +398,8 @@ for operator, y in {"AND": lambda a, b: a & b, "OR": lambda a, b: a | b, "NAND":
                     "XOR": lambda a, b: a ^ b, "NXOR": lambda a, b: ~(a ^ b)}.items():
     case(f"logic {operator}", {"s": SIN, "c": CLOCK, "p": ("Signum", {}), "a": ("RelationalOperator",
      {"Operator": ">"}),
-                               "b": ("Logic", {"Operator": operator}), "n": ("DiscretePulseGenerator", {"Period": "0.7",
+                               "b": ("Logic", {"Operator": operator}), "n": ("DiscretePulseGenerator",
+                               {"PulseType": "Time based", "Period": "0.7",
                                "PulseWidth": "40"})},
          "s>a c>a:2 a>b n>b:2 b>out1",
          lambda t, y=y: 1.0 * y(wave(t) > t, pulse(t, 0.7, 0.28) > 0))
@@ -528,7 +529,7 @@ case("integrator with a constant start", {"s": SIN, "k": ("Constant", {"Value": 
 case("integrator with a start", {"s": SIN, "g": ("Gain", {"Gain": "2"}), "b": ("Integrator",
      {"InitialConditionSource": "external"})},
      "s>b,g g>b:2 b>out1", lambda t: area(t) + 2 * wave(0.0))
-PULSES = ("DiscretePulseGenerator", {"Period": "0.8", "PulseWidth": "50",
+PULSES = ("DiscretePulseGenerator", {"PulseType": "Time based", "Period": "0.8", "PulseWidth": "50",
                                      "PhaseDelay": "0.4"})  # on at 0.4, off at 0.8, ...
 for way, edges in (("rising", [0.4, 1.2]), ("falling", [0.8, 1.6]), ("either", [0.4, 0.8, 1.2, 1.6])):
     case(f"integrator with reset {way}", {"k": ("Constant", {}), "p": PULSES, "b": ("Integrator", {"ExternalReset": way,
@@ -631,7 +632,8 @@ for form in ("Forward Euler", "Backward Euler", "Trapezoidal"):
     for word, h in (("Integration", 0.1), ("Accumulation", 1.0)):
         for gain in ("1.0", "2.5"):
             ticking(f"sampled integrator {word} {form} {gain}", "DiscreteIntegrator",
-                    {"IntegratorMethod": f"{word}: {form}", "gainval": gain, "InitialCondition": "3"}, summed(form, h,
+                    {"IntegratorMethod": f"{word}: {form}", "gainval": gain, "InitialCondition": "3",
+                     "InitialConditionSetting": "State (most efficient)"}, summed(form, h,
                     float(gain), 3), 3.0)
 both("sampled integrator with a first output", "DiscreteIntegrator",
      {"IntegratorMethod": "Integration: Backward Euler", "InitialConditionSetting": "Output", "InitialCondition": "3",
