@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ..model.diagram_grammar import LEAST_RTOL
 from ..text.errors import BlocksError, Fault, ModelError
 from ..text.printable import counted, legible, one_line
 from . import rules_dynamic, rules_math, rules_wiring
@@ -242,6 +243,12 @@ def _settings(model: Model, known: Mapping[str, Value]) -> tuple[Raw | None, dic
         run["method"] = "auto"
     elif solver not in ("ode45", "discrete"):
         told.append((f"its solver is {solver}: dopri5", "Set `method` in `run`."))
+    for key, word, usual in (("RelTol", "rtol", 1e-6), ("AbsTol", "atol", 1e-9)):
+        tolerance = number(key, None)
+        if tolerance is not None and 0 < tolerance < usual:  # a looser one is no reason to compute less exactly
+            run[word] = max(tolerance, LEAST_RTOL) if word == "rtol" else tolerance
+    if run.get("method") not in _FIXED.values() and (longest := number("MaxStep", None)) is not None:
+        told.append((f"its largest step of {longest:g} s is left out: steps follow from tolerances", ""))
     fallback = Raw(_plain(step), step) if step and step > 0 else None
     return fallback, run, told
 

@@ -116,6 +116,22 @@ def test_the_motor_with_a_sampled_pid_runs_as_a_difference_equation_says() -> No
     assert np.abs(results["omega"] - np.array(known))[:40].max() < 1e-6
 
 
+def test_settings_of_the_solver_are_taken(tmp_path: Path) -> None:
+    blocks = [block("Clock", "c", 1, {}, {"out": 1}), block("Outport", "y", 2, {}, {"in": 1})]
+    inside = system(blocks, [line(("c", "1"), ("y", "1"))])
+    for given, run in {
+        ("ode45", "2*T", "1e-8", "auto", "auto"): {"stop": 2, "rtol": 1e-8},
+        ("ode15s", "3", "1e-3", "1e-12", "auto"): {"stop": 3, "method": "radau", "atol": 1e-12},
+        ("ode4", "3", "1e-3", "auto", "T/10"): {"stop": 3, "method": "rk4", "step": 0.1},
+        ("ode1", "inf", "1e-3", "auto", "0.5"): {"stop": 10, "method": "euler", "step": 0.5},
+    }.items():
+        settings = dict(zip(("SolverName", "StopTime", "RelTol", "AbsTol", "FixedStep"), given, strict=True))
+        drawn = model("m", inside, settings=settings, callbacks={"InitFcn": "T = 1;"})
+        diagram, report = from_simulink(FORMS["inline"](drawn, tmp_path))
+        assert diagram.to_json()["run"] == {**run, "log": ["y"]}
+        assert report.is_whole
+
+
 # --- what is missing -------------------------------------------------------------------------------------------------
 
 
