@@ -10,7 +10,7 @@ from typing import Any
 from ..fmi.description import read_description
 from .numbers import MOST_ELEMENTS, Raw, Scope, variables
 from .rules_math import rule, translated
-from .signals import CONSTANT, CONTINUOUS, Attr, Field, Out, Own, Rate, joined, outputs_of
+from .signals import CONSTANT, CONTINUOUS, Attr, Field, Out, Own, joined, outputs_of
 from .systems import MOST_BLOCKS, MOST_PORTS, At, Mapped, Refused, map_system, whole
 from .tree import Block, System
 
@@ -304,18 +304,13 @@ def _(at: At) -> None:
         raise Refused("a subsystem without content")
     if block.values.get("Variant", "off") == "on":
         raise Refused("it has variants, of which one is active", "Keep the active one in its place.")
-    mask = block.mask
-    scope = (
-        at.scope.inner(mask.parameters, mask.initialization) if mask else Scope(at.scope.known, base=at.scope.workspace)
-    )
+    mask, scope = block.mask, Scope(at.scope.known, base=at.scope.workspace)
     if mask:
-        scope = at.scope.inner(
-            {name: block.values.get(name, text) for name, text in mask.parameters.items()}, mask.initialization
-        )
-    if mask and re.search(r"\b(set_param|(add|delete|replace)_(block|line))\b", mask.initialization):
-        at.note(
-            "unknown", "the code of its mask changes blocks, and is not run", "Look at it there, and save the result."
-        )
+        own = {name: block.values.get(name, text) for name, text in mask.parameters.items()}
+        scope = at.scope.inner(own, mask.initialization)
+        if re.search(r"\b(set_param|(add|delete|replace)_(block|line))\b", mask.initialization):
+            what = "the code of its mask changes blocks, and is not run"
+            at.note("unknown", what, "Look at it there, and save the result.")
     _inside(at, at.context, block.system, scope)
 
 
@@ -434,15 +429,9 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
         if block.type == "Outport" and block.values.get("Port", "1") in mapped.outs:
             number = block.values.get("Port", "1")
             attr = mapped.outs[number]
-            at.part.outs[number] = outputs_of(f"{at.name}.{mapped.names[name]}", _outside(attr, at, controls))
+            at.part.outs[number] = outputs_of(f"{at.name}.{mapped.names[name]}", attr)
     at.part.inner = mapped
     at.part.log += _passed(at, mapped, inports)
-
-
-def _outside(attr: Attr, at: At, controls: list[Block]) -> Attr:
-    if controls and controls[0].type == "TriggerPort":
-        return replace(attr, rate=Rate(attr.rate.period, attr.rate.offset, attr.rate.json) if attr.rate else None)
-    return attr
 
 
 def _passed(at: At, mapped: Mapped, inports: dict[str, str]) -> list[tuple[str, str]]:
@@ -465,8 +454,6 @@ def _control(at: At, entry: dict[str, Any], control: Block, system: System) -> N
             raise Refused("it holds sampled blocks that tick with its trigger", "Use ResettableIntegrator, or Counter.")
         entry["trigger"] = {"direction": {"rising": "up", "falling": "down", "either": "both"}[way]}
         at.wire(f"{at.name}.trigger", at.own("trigger"))
-        if at.attr("trigger").is_bool:
-            pass
     else:
         key = "InitializeStates" if control.type == "ActionPort" else "StatesWhenEnabling"
         kept = {said(block, "OutputWhenDisabled", "held") for block in outports}
