@@ -650,7 +650,7 @@ def import_model(session: Session, *, name: str, text: str) -> Answer:
         message = "is not the name of a Simulink model."
         raise UsageError(Fault("E501", quoted(name[:200]), message, "Drop an .slx or .mdl."))
     target = source.with_suffix(".json")
-    if target.exists():
+    if os.path.lexists(target):  # also a link that leads out of the folder, to no file yet
         raise UsageError(Fault("E501", legible(target.name), "exists already.", "Rename it, or rename the model."))
     try:
         data = base64.b64decode(text, validate=True)

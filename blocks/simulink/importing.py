@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from ..model.diagram_grammar import LEAST_RTOL
 from ..text.errors import BlocksError, Fault, ModelError
-from ..text.printable import counted, legible, one_line
+from ..text.printable import counted, one_line
 from . import rules_dynamic, rules_math, rules_wiring
 from .matlab import Unread, Value
 from .numbers import Raw, Scope, Unknown, read_workspace, variables
@@ -77,7 +77,7 @@ class Report:
             if found:
                 lines.append(f"{kind} ({len(found)})")
                 lines += [f"  {one.path}: {one.what}.{f' {one.cure}' if one.cure else ''}" for one in found]
-        return "\n".join(legible(line) for line in lines)
+        return "\n".join("".join(char if char.isprintable() else "?" for char in line) for line in lines)
 
 
 class Imported(NamedTuple):

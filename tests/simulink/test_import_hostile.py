@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import base64
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +14,10 @@ from scipy.io import savemat
 
 from blocks import UsageError, from_simulink
 from blocks.api.simulink_import import FromSimulink
+from blocks.server import gestures  # noqa: F401  # its messages
+from blocks.server.editor import Editor
+from blocks.server.messages import answer
+from blocks.server.session import Session
 from blocks.simulink import Block, Mask, System
 from tests.support.simulink_files import FORMS, block, line, model, system
 
@@ -29,7 +33,7 @@ def _beside(folder: Path, name: str, inside: System, kind: str = "Model") -> Non
 def _chain(*blocks: Block, ends: str = "y") -> System:
     """Return blocks one behind the other, with an Outport at the end."""
     drawn = [*blocks, block("Outport", ends, 900, {}, {"in": 1})]
-    return system(drawn, [line((a.name, "1"), (b.name, "1")) for a, b in itertools.pairwise(drawn)])
+    return system(drawn, [line((a.name, "1"), (b.name, "1")) for a, b in zip(drawn, drawn[1:], strict=False)])
 
 
 def _gain(k: str, name: str = "g", sid: int = 2) -> Block:
@@ -65,7 +69,7 @@ def test_a_mux_that_feeds_itself_and_muxes_of_muxes_end(tmp_path: Path) -> None:
     assert time.perf_counter() - begun < 30
 
 
-@pytest.mark.parametrize(("kind", "values"), [
+@pytest.mark.parametrize("kind, values", [
     ("Mux", {"Inputs": "999999999"}), ("BusCreator", {"Inputs": "9" * 5000}), ("Demux", {"Outputs": "999999999"}),
     ("Demux", {"Outputs": "inf"}), ("MinMax", {"Inputs": "999999999"}), ("Logic", {"Inputs": "999999999"}),
     ("Selector", {"Indices": "inf"}), ("Selector", {"Indices": "ones(1,1e6)"}), ("Gain", {"Gain": "ones(1,1e5)"}),
@@ -201,3 +205,29 @@ def test_a_script_that_is_too_long_is_told(tmp_path: Path) -> None:
     (tmp_path / "long.m").write_text("k = 1;\n" * 200_000)
     report = from_simulink(FORMS["mdl"](model("m", _chain(_constant("2"))), tmp_path), tmp_path / "long.m").report
     assert [(entry.kind, entry.path) for entry in report.entries] == [("unknown", "long.m")]
+
+
+# --- the report and the page -----------------------------------------------------------------------------------------
+
+
+def test_long_lines_of_the_report_are_whole_and_show_no_control_characters(tmp_path: Path) -> None:
+    name = "a very long name " * 9 + "\x1b[31m"
+    drawn = _chain(_constant("1"), block("S-Function", name, 2, {}, {"in": 1, "out": 1}))
+    text = str(_made(tmp_path, drawn).report)
+    assert "\x1b" not in text
+    assert len(text.splitlines()[-1]) > 200
+    assert text.endswith("no equal of S-Function here. Write it as a block of your own.")
+
+
+def test_a_link_that_leads_out_of_the_folder_of_the_page_is_not_followed(tmp_path: Path) -> None:
+    folder, outside = tmp_path / "here", tmp_path / "outside.json"
+    folder.mkdir()
+    (folder / "m.json").symlink_to(outside)
+    data = base64.b64encode(FORMS["mdl"](model("m", _chain(_constant("1"))), tmp_path).read_bytes()).decode()
+    session = Session(Editor(folder / "own.json"))
+    try:
+        with pytest.raises(UsageError, match="exists already"):
+            answer(session, {"do": "import_model", "name": "m.mdl", "text": data})
+    finally:
+        session.close()
+    assert not outside.exists()
