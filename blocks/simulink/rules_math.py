@@ -57,7 +57,7 @@ def formula(at: At, expression: str, ports: Sequence[int] = (1,), k: Sequence[Se
     if k:
         rows = [[numbers(one)[0 if len(one) == 1 else i] for one in k] for i in range(n)]
         given = rows[0] if all(len(one) == 1 for one in k) else rows
-    at.each("Expression", {f"u{i + 1}": port for i, port in enumerate(ports)}, suffix=suffix, is_bool=is_bool,
+    at.each("Expression", {f"u{i + 1}": port for i, port in enumerate(ports)}, suffix=suffix, is_bool=is_bool, n=n,
             expression=expression, k=given)  # fmt: skip
 
 

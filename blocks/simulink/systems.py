@@ -137,7 +137,7 @@ class Drawing:
                 return None
             chosen = out.elements if one.element is None else out.elements[one.element : one.element + 1]
             left += [(each, out.attr, depth + 1) for each in reversed(chosen)]
-        return found
+        return found or None
 
     def whole(self, source: str | Own, attr: Attr | None = None) -> tuple[str, bool] | None:
         """Return the one source of all elements, or None if there is none."""

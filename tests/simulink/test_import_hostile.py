@@ -231,3 +231,13 @@ def test_a_link_that_leads_out_of_the_folder_of_the_page_is_not_followed(tmp_pat
     finally:
         session.close()
     assert not outside.exists()
+
+
+def test_a_bias_may_make_a_vector_of_a_number(tmp_path: Path) -> None:
+    drawn = _chain(_constant("3"), block("Bias", "b", 2, {"Bias": "[1 2]"}, {"in": 1, "out": 1}))
+    assert _made(tmp_path, drawn).diagram.run(stop=1)["y"][-1].tolist() == [4, 5]
+
+
+def test_an_output_without_elements_is_told(tmp_path: Path) -> None:
+    drawn = _chain(_constant("3"), block("Selector", "b", 2, {"Indices": "[]"}, {"in": 1, "out": 1}), _gain("2"))
+    assert _made(tmp_path, drawn).report.entries
