@@ -431,6 +431,7 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
             attr = mapped.outs[number]
             at.part.outs[number] = outputs_of(f"{at.name}.{mapped.names[name]}", attr)
     at.part.inner = mapped
+    at.part.ports = {mapped.names[name]: port for port, name in inports.items()}
     at.part.log += _passed(at, mapped, inports)
 
 

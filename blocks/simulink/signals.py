@@ -91,8 +91,8 @@ class Part:
     """What a block of the model becomes: blocks of the diagram, the wires that end at them, and its outputs.
 
     log: inputs whose signals a Scope or a Display shows. outputs: those that a variable or a file takes, by its name.
-    stops: inputs that end the run. is_late: a sample
-    time was needed that is not known yet.
+    stops: inputs that end the run. inner: the system inside; ports: the inputs of it, by the names of its diagram.
+    is_late: a sample time was needed that is not known yet.
     """
 
     blocks: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -103,6 +103,7 @@ class Part:
     outputs: dict[str, Reading] = field(default_factory=dict)
     stops: list[Reading] = field(default_factory=list)
     inner: Any = None
+    ports: dict[str, str] = field(default_factory=dict)
     is_late: bool = False
 
 

@@ -586,7 +586,7 @@ def _names(blocks: Mapping[str, Block], reserved: set[str]) -> dict[str, str]:
     """Return names for blocks; ports of the system come first, because users type their names."""
     taken = {*reserved, "index", "copies"}
     order = sorted(blocks, key=lambda name: blocks[name].type not in ("Inport", "Outport"))
-    return {name: legal(name, taken, re.sub(r"\W", "", blocks[name].type) or "block") for name in order}
+    return {name: legal(name, taken, re.sub(r"^\d+|\W", "", blocks[name].type) or "block") for name in order}
 
 
 # --- wires -----------------------------------------------------------------------------------------------------------
@@ -720,12 +720,18 @@ def _linked(drawing: Drawing) -> Mapped:
             arriving = part.inner.body.get("inputs", {})  # no signals of the subdiagram: they are logged here
             shown = [one for one in part.inner.log if "." in one or one.partition("[")[0] not in arriving]
             log += [f"{ours}.{one}" for one in [*shown, *part.inner.named]]
-            stops += [re.sub(r"^", f"{ours}.", one) for one in part.inner.stops]
+            for one in part.inner.stops:
+                arrives = part.ports.get(re.split(r"\W", one, maxsplit=1)[0], "") if "." not in one else ""
+                if not arrives:
+                    stops.append(f"{ours}.{one}")
+                    continue
+                found = drawing.sources(Own((name, arrives))) or []  # an input is no signal of the subdiagram
+                stops += [each if is_bool else f"{each} != 0" for each, is_bool in found]
             notes += part.inner.notes
         center = _center(block)
         if center and (ours in part.blocks or block.type in ("Inport", "Outport")):
             body["layout"][ours] = center
-    taken: set[str] = set()
+    taken = {*body["inputs"], *drawing.scope.used}
     named: list[str] = []
     for name in drawing.parts:
         block = drawing.system.blocks[name]

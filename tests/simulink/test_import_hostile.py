@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -33,7 +34,7 @@ def _beside(folder: Path, name: str, inside: System, kind: str = "Model") -> Non
 def _chain(*blocks: Block, ends: str = "y") -> System:
     """Return blocks one behind the other, with an Outport at the end."""
     drawn = [*blocks, block("Outport", ends, 900, {}, {"in": 1})]
-    return system(drawn, [line((a.name, "1"), (b.name, "1")) for a, b in zip(drawn, drawn[1:], strict=False)])
+    return system(drawn, [line((a.name, "1"), (b.name, "1")) for a, b in itertools.pairwise(drawn)])
 
 
 def _gain(k: str, name: str = "g", sid: int = 2) -> Block:
@@ -69,7 +70,7 @@ def test_a_mux_that_feeds_itself_and_muxes_of_muxes_end(tmp_path: Path) -> None:
     assert time.perf_counter() - begun < 30
 
 
-@pytest.mark.parametrize("kind, values", [
+@pytest.mark.parametrize(("kind", "values"), [
     ("Mux", {"Inputs": "999999999"}), ("BusCreator", {"Inputs": "9" * 5000}), ("Demux", {"Outputs": "999999999"}),
     ("Demux", {"Outputs": "inf"}), ("MinMax", {"Inputs": "999999999"}), ("Logic", {"Inputs": "999999999"}),
     ("Selector", {"Indices": "inf"}), ("Selector", {"Indices": "ones(1,1e6)"}), ("Gain", {"Gain": "ones(1,1e5)"}),
@@ -241,3 +242,60 @@ def test_a_bias_may_make_a_vector_of_a_number(tmp_path: Path) -> None:
 def test_an_output_without_elements_is_told(tmp_path: Path) -> None:
     drawn = _chain(_constant("3"), block("Selector", "b", 2, {"Indices": "[]"}, {"in": 1, "out": 1}), _gain("2"))
     assert _made(tmp_path, drawn).report.entries
+
+
+# --- sample times ----------------------------------------------------------------------------------------------------
+
+
+def _delay(period: str, name: str = "d", sid: int = 7) -> Block:
+    return block("UnitDelay", name, sid, {"SampleTime": period}, {"in": 1, "out": 1})
+
+
+CLOCK = block("Clock", "c", 1, {}, {"out": 1})
+
+
+def test_a_period_that_leaves_a_mask_is_that_of_the_mask(tmp_path: Path) -> None:
+    inner = _inside("s", 3, _chain(INPORT, _delay("Ts")), Mask("m", {"Ts": "0.5"}))
+    for code in ("Ts = 0.125;", "x = 1;"):  # another Ts outside, or none
+        diagram, _ = _made(tmp_path, _chain(CLOCK, inner, _delay("-1")), callbacks={"InitFcn": code})
+        assert diagram.run(every=1, stop=3)["y"].tolist() == [0, 0, 1, 2]
+
+
+def test_a_period_that_comes_into_a_subsystem_is_that_of_the_outside(tmp_path: Path) -> None:
+    for mask in (None, Mask("m", {"Ts": "5"})):
+        drawn = _chain(CLOCK, _delay("Ts"), _inside("s", 3, _chain(INPORT, _delay("-1")), mask))
+        diagram, report = _made(tmp_path, drawn, callbacks={"InitFcn": "Ts = 0.25;"})
+        assert report.is_whole
+        assert diagram.run(every=1, stop=3)["y"].tolist() == [0, 0.5, 1.5, 2.5]
+    diagram, _ = _made(tmp_path, _chain(CLOCK, _delay("Ts"), _inside("s", 3, _chain(INPORT, _delay("-1")))),
+                       callbacks={"InitFcn": "Ts = 0.25;"})  # fmt: skip
+    assert diagram.run(every=1, stop=3, parameters={"Ts": 0.5})["y"].tolist() == [0, 0, 1, 2]
+
+
+def test_a_truth_value_goes_into_a_subsystem(tmp_path: Path) -> None:
+    compared = block("CompareToConstant", "k", 2, {"relop": ">", "const": "1.5"}, {"in": 1, "out": 1})
+    diagram, _ = _made(tmp_path, _chain(CLOCK, compared, _inside("s", 3, _chain(INPORT, _gain("2")))))
+    assert diagram.run(every=1, stop=3)["y"].tolist() == [0, 0, 2, 2]
+
+
+# --- names -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_block_may_have_the_name_of_what_a_rule_adds(tmp_path: Path) -> None:
+    choice = block("Switch", "s", 2, {"Criteria": "u2 > Threshold", "Threshold": "10"}, {"in": 3, "out": 1})
+    drawn = _chain(_constant("1"), _gain("7", "s_above", 3), choice)
+    drawn.lines.extend([line(("c", "1"), ("s", "2")), line(("c", "1"), ("s", "3"))])
+    assert _made(tmp_path, drawn).diagram.run(stop=1)["y"][-1] == 1
+
+
+def test_a_stop_and_a_variable_inside_may_take_what_arrives(tmp_path: Path) -> None:
+    stop = block("Stop", "end", 12, {}, {"in": 1})
+    variable = block("ToWorkspace", "w", 13, {"VariableName": "u"}, {"in": 1})
+    inner = system([INPORT, stop, variable], [line(("u", "1"), ("end", "1"), ("w", "1"))])
+    compared = block("CompareToConstant", "k", 2, {"relop": ">", "const": "1.5"}, {"in": 1, "out": 1})
+    drawn = _chain(CLOCK, compared)
+    drawn.blocks["s"] = block("SubSystem", "s", 3, {}, {"in": 1}, inside=inner)
+    drawn.lines.append(line(("k", "1"), ("s", "1")))
+    diagram, report = _made(tmp_path, drawn)
+    assert report.is_whole
+    assert diagram.run(stop=5).t[-1] == pytest.approx(1.5)
