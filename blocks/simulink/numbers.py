@@ -175,7 +175,13 @@ class Scope:
         if not {*re.findall(r"(?<![\w.])[A-Za-z]\w*", text)} <= {*names, "pi"}:  # eps, or what is no name in a diagram
             value = _number(self.value(text), text)
             return Raw(_json(value), value)
-        if names and not calls and text.count("^") < 2 and not _RESERVED.intersection(names):
+        if (
+            names
+            and not calls
+            and text.count("^") < 2
+            and not _RESERVED.intersection(names)
+            and not ("pi" in self.known and re.search(r"\bpi\b", text))
+        ):
             held = {name: self.known.get(name) for name in names}
             unknown = [name for name, value in held.items() if value is None]
             if all(value is None or _is_scalar(value) for value in held.values()):
@@ -213,6 +219,7 @@ class Scope:
     def matrix(self, text: str) -> Any:
         """Return an expression as a matrix of floats. Raises Unknown."""
         value = self.value(text)
+        _check_text(value, text.strip())
         if not isinstance(value, np.ndarray):
             raise Unknown(f"{text.strip()[:80]!r} is no number")
         if not np.all(np.isfinite(value) | np.isinf(value)):
@@ -252,7 +259,14 @@ def _is_scalar(value: object) -> bool:
     return isinstance(value, np.ndarray) and value.size == 1 and bool(np.all(np.isfinite(value)))
 
 
+def _check_text(value: Value | None, text: str) -> None:
+    """Raise Unknown where the value is that of a mask's parameter which names a variable without a value."""
+    if isinstance(value, str) and _NAME.fullmatch(value):
+        raise Unknown(f"{text[:80]!r} has no value: {value[:80]} has no value", [value[:80]])
+
+
 def _number(value: Value | None, text: str) -> float:
+    _check_text(value, text)
     if not isinstance(value, np.ndarray) or value.size != 1:
         raise Unknown(f"{text[:80]!r} is no single number")
     number = float(np.reshape(value, -1)[0])

@@ -299,3 +299,14 @@ def test_a_stop_and_a_variable_inside_may_take_what_arrives(tmp_path: Path) -> N
     diagram, report = _made(tmp_path, drawn)
     assert report.is_whole
     assert diagram.run(stop=5).t[-1] == pytest.approx(1.5)
+
+
+def test_a_variable_that_a_mask_names_and_nobody_knows_is_told_by_its_name(tmp_path: Path) -> None:
+    drawn = _chain(_constant("1"), _inside("s", 3, _chain(INPORT, _gain("k")), Mask("m", {"k": "q"})))
+    (entry,) = _made(tmp_path, drawn).report.entries
+    assert (entry.kind, entry.cure) == ("unknown", "Give q by --workspace.")
+
+
+def test_pi_may_be_a_variable(tmp_path: Path) -> None:
+    diagram, _ = _made(tmp_path, _chain(_constant("pi*k")), callbacks={"InitFcn": "pi = 4; k = 2;"})
+    assert diagram.run(stop=1)["y"][-1] == 8
