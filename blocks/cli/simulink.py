@@ -36,6 +36,8 @@ def _import(options: argparse.Namespace) -> int:
 
     name = os.path.splitext(os.path.basename(options.model))[0]
     out = options.out or f"{name}.json"
+    if out == "-":
+        raise UsageError(Fault("E501", "-o -", "stdout has the report.", "Give the name of a file."))
     if os.path.exists(out) and not options.force:
         raise UsageError(Fault("E501", out, "is there already.", "Give another name by -o, or replace it by --force."))
     diagram, report = from_simulink(options.model, options.workspace)

@@ -161,7 +161,7 @@ def _(at: At) -> None:
     else:
         elements = [whole(one, "Indices") - offset for one in at.scope.raws(text)]
     attr = at.attr(1)
-    if attr.n > 1 and not all(0 <= one < attr.n for one in elements):
+    if attr.rate is not None and not all(0 <= one < attr.n for one in elements):
         raise Refused(f"it selects element {max(elements) + offset} of {attr.n}")
     owned = tuple(at.own(1, min(max(one, 0), attr.n - 1)) for one in elements)
     if len(elements) == 1 or attr.is_bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ..text.errors import FMUError
+from ..text.errors import FMUError, ModelError
 from .matlab import names_in
 from .matlab_functions import NoValue
 from .numbers import MOST_ELEMENTS, Raw, Scope, Unknown
@@ -537,7 +537,7 @@ def _part(drawing: Drawing, block: Block) -> Part:
         kind = at.text("OutDataType") if kind == "Specify via dialog" else kind
         if re.match(r"u?int\d|fixdt|[su]fix|float\(", kind):
             at.note("decided", f"its type is {kind}; here numbers stay as they are, without rounding or overflow", "")
-    except (Refused, Unknown, NoValue, OSError, ValueError, FMUError) as refused:
+    except (Refused, Unknown, NoValue, OSError, ValueError, FMUError, ModelError) as refused:
         unknown = ", ".join(getattr(refused, "names", ()))
         cure = f"Give {unknown} by --workspace." if unknown else str(getattr(refused, "cure", ""))
         at = At(drawing, block)

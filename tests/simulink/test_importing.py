@@ -155,6 +155,13 @@ def test_a_library_and_what_is_no_model_are_refused(tmp_path: Path) -> None:
         from_simulink(VALUES)
     with pytest.raises(UsageError, match=r"E501 .*cannot be read"):
         from_simulink(MOTOR, tmp_path / "none.mat")
+    link = block("Reference", "part", 1, {"SourceBlock": "broken/Part", "SourceType": ""}, {"in": 1, "out": 1})
+    choice = block("Selector", "two", 2, {"Indices": "[1 3]"}, {"in": 1, "out": 1})
+    blocks = [link, choice, block("Clock", "c", 3, {}, {"out": 1})]
+    inside = system(blocks, [line(("c", "1"), ("two", "1"), ("part", "1"))])
+    (tmp_path / "broken.mdl").write_text("Library {")
+    _, report = from_simulink(FORMS["mdl"](model("m", inside), tmp_path))
+    assert {entry.path for entry in report.of("left out")} == {"part", "two"}
     (tmp_path / "bad.mat").write_bytes(b"MATLAB 7.3 MAT-file" + bytes(200))
     with pytest.raises(UsageError, match="-v7"):
         from_simulink(MOTOR, tmp_path / "bad.mat")
@@ -220,6 +227,7 @@ def test_the_command_writes_the_diagram_and_tells(tmp_path: Path, capsys: pytest
     told = [json.loads(each) for each in capsys.readouterr().out.splitlines()]
     assert {"taken", "unknown", "done"} <= {each["event"] for each in told}
     assert told[-1] == {"event": "done", "diagram": str(out), "whole": False, "taken": told[-1]["taken"]}
+    assert main(["import", str(MOTOR), "-o", "-"]) == 2
     assert main(["import", str(tmp_path / "none.slx")]) == 2
     assert "E007" in capsys.readouterr().err
 
