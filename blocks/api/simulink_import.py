@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 from ..simulink.importing import Entry, Report, import_model
+from ..simulink.numbers import Given
 from ..text.errors import ModelError
 from .diagram import Diagram
 
@@ -27,7 +28,7 @@ class FromSimulink(NamedTuple):
 
 def from_simulink(
     path: str | os.PathLike[str],
-    workspace: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    workspace: Given | Sequence[Given] = (),
     *,
     folder: str | os.PathLike[str] | None = None,
 ) -> FromSimulink:
@@ -36,7 +37,8 @@ def from_simulink(
         diagram, report = from_simulink("drive.slx", workspace="init.m")
         report.is_whole, report.of("left out")
 
-    workspace: .mat files, and .m files with plain assignments, that hold the variables of the model. folder:
+    workspace: the variables of the model, as a dict, a .mat file or an .m file with plain assignments, or several
+    of these, of which later ones replace earlier ones. folder:
     where the models and libraries lie that it refers to; left out: beside it. What has no equal here is a block of a
     type that does not exist, with the same ports: `check` names it.
 
@@ -44,7 +46,7 @@ def from_simulink(
         ModelError: E007 for a file that cannot be read, E010 for what is no model of Simulink, or a library.
         UsageError: E501 for a workspace that cannot be read.
     """
-    files = [workspace] if isinstance(workspace, (str, os.PathLike)) else [*workspace]
+    files = [workspace] if isinstance(workspace, (str, os.PathLike, Mapping)) else [*workspace]
     made = import_model(path, files, folder)
     beside = Path(path).parent if folder is None else Path(folder)
     diagram, report = Diagram.from_json(made.document, folder=beside), made.report

@@ -255,5 +255,6 @@ def check_writable(option: str, path: str, read: Sequence[str]) -> None:
         except OSError as error:
             what = f"cannot be written: {error.strerror}"
     if what:
-        raise UsageError(Fault("E501", f"{option} {path}", f"{what}.", "Nothing was run. Name a file that can "
-            "be written."))
+        raise UsageError(
+            Fault("E501", f"{option} {path}", f"{what}.", "Nothing was run. Name a file that can be written.")
+        )

@@ -158,8 +158,8 @@ _token = re.compile(r'"(?:[^"\\]|\\.)*"|[\w.+-]+|.', re.DOTALL).match
 class Excerpts:
     """The lines of files that faults point to, as a terminal shows them; each file is read once.
 
-         12 |   "motor.v": "control.w",
-            |              ^^^^^^^^^^^
+    12 |   "motor.v": "control.w",
+       |              ^^^^^^^^^^^
     """
 
     def __init__(self) -> None:

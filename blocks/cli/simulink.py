@@ -38,7 +38,9 @@ def _import(options: argparse.Namespace) -> int:
     out = options.out or f"{name}.json"
     if out == "-":
         raise UsageError(Fault("E501", "-o -", "stdout has the report.", "Give the name of a file."))
-    if os.path.exists(out) and not options.force:
+    if os.path.exists(out) and os.path.exists(options.model) and os.path.samefile(out, options.model):
+        raise UsageError(Fault("E501", out, "is the model itself.", "Give the diagram another name."))
+    if os.path.exists(options.model) and os.path.exists(out) and not options.force:
         raise UsageError(Fault("E501", out, "is there already.", "Give another name by -o, or replace it by --force."))
     diagram, report = from_simulink(options.model, options.workspace)
     diagram.save(out)

@@ -119,7 +119,6 @@ def _problem(options: argparse.Namespace, diagram: Diagram) -> Problem:
     )  # fmt: skip
 
 
-
 def _told(options: argparse.Namespace, tuning: Tuning) -> int:
     """Report what was found, and write it; returns the exit code."""
     changes: Sequence[Any] = ()

@@ -15,7 +15,7 @@ from ..text.errors import BlocksError, Fault, ModelError
 from ..text.printable import counted, one_line
 from . import rules_dynamic, rules_math, rules_wiring
 from .matlab import Unread, Value
-from .numbers import Raw, Scope, Unknown, read_workspace, variables
+from .numbers import Given, Raw, Scope, Unknown, read_workspace, variables
 from .reading import read_model
 from .systems import Context, Mapped, Rule, legal, map_system
 from .tree import Block, Model
@@ -89,10 +89,10 @@ class Imported(NamedTuple):
 
 def import_model(
     path: str | os.PathLike[str],
-    workspace: Sequence[str | os.PathLike[str]] = (),
+    workspace: Sequence[Given] = (),
     folder: str | os.PathLike[str] | None = None,
 ) -> Imported:
-    """Make a diagram of a model. workspace: .mat and .m files with its variables. folder: of what it refers to.
+    """Make a diagram of a model. workspace: of its variables. folder: of what it refers to.
 
     Raises:
         ModelError: E007, E010 for a file that is no model, or a library.
@@ -280,9 +280,14 @@ def _finished(model: Model, mapped: Mapped, run: dict[str, Any], entries: list[E
         document["layout"] = layout
     entries += [Entry(note.kind, _path(block), note.what, note.cure) for block, note in mapped.notes]
     missing = {(entry.path) for entry in entries if entry.kind in ("left out", "unknown")}
-    callbacks = [(model.name, name) for name in model.callbacks if name not in ("PreLoadFcn", "InitFcn")]
-    callbacks += [(_path(block), name) for block in model.system.walk() for name in block.callbacks]
-    entries += [Entry("decided", where, f"its callback {name} is not run", "") for where, name in callbacks]
+    callbacks = [name for name in model.callbacks if name not in ("PreLoadFcn", "InitFcn")]
+    callbacks += [name for block in model.system.walk() for name in block.callbacks]
+    if callbacks:
+        names = ", ".join(dict.fromkeys(callbacks))
+        entries.append(Entry("decided", model.name, f"{counted(len(callbacks), 'callback')} not run: {names}", ""))
+    if inputs:
+        what = f"its inputs are 0 unless a run gives them: {', '.join(inputs)}"
+        entries.append(Entry("decided", model.name, what, f"Give them by --input {next(iter(inputs))}=VALUE."))
     taken = [
         Taken(_path(block), block.type, name) for block, name in _taken(model, mapped) if _path(block) not in missing
     ]

@@ -22,7 +22,7 @@ from .tree import Model
 
 _NAME = re.compile(r"[A-Za-z]\w*")
 _FORMULA = re.compile(r"[\w.\s+\-*/()^]+")
-_LIST = re.compile(r"\[([^\[\]();'{}]*)\]")
+_LIST = re.compile(r"\[([^\[\]'{}]*)\]")
 _RESERVED = frozenset({"true", "false", "index", "copies", "and", "or", "not", "t"})
 MOST_BYTES = 64 * 2**20
 MOST_ELEMENTS = 10_000  # of one signal, or of a parameter with a value for each
@@ -44,7 +44,11 @@ class Unknown(Exception):
         self.names = tuple(names)
 
 
-def read_workspace(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Value], list[tuple[str, Unread]]]:
+Given = str | os.PathLike[str] | Mapping[str, Any]
+"""A file of variables, or the variables themselves."""
+
+
+def read_workspace(files: Sequence[Given]) -> tuple[dict[str, Value], list[tuple[str, Unread]]]:
     """Return the variables of .mat files and of the plain assignments in .m files, and what was not read of these.
 
     Raises UsageError (E501) for a file that cannot be read.
@@ -52,7 +56,12 @@ def read_workspace(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, V
     known: dict[str, Value] = {}
     rest: list[tuple[str, Unread]] = []
     for each in files:
+        if isinstance(each, Mapping):
+            known |= {name: value if isinstance(value, str) else np.atleast_2d(value) for name, value in each.items()}
+            continue
         path = Path(each)
+        if path.suffix not in (".m", ".mat"):
+            raise UsageError(Fault("E501", str(path), "is no file of variables.", "Give a .mat or .m file."))
         try:
             if path.suffix == ".mat":
                 known |= values_of_mat(path)
@@ -63,7 +72,8 @@ def read_workspace(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, V
                 rest += [(path.name, one) for one in unread]
         except (OSError, ValueError, NotImplementedError) as error:
             what = getattr(error, "strerror", None) or " ".join(str(error).split())[:200] or type(error).__name__
-            cure = "Save the variables by save(name, '-v7')." if path.suffix == ".mat" else "Check the path."
+            is_there = path.suffix == ".mat" and path.is_file()
+            cure = "Save the variables by save(name, '-v7')." if is_there else "Check the path."
             raise UsageError(Fault("E501", str(path), f"the variables cannot be read: {what}.", cure)) from None
     return known, rest
 
@@ -170,7 +180,7 @@ class Scope:
     def raw(self, text: str) -> Raw:
         """Return a number as the diagram has it: variables that it names become parameters. Raises Unknown."""
         text = text.strip()
-        names = [name for name in _named(text) if name != "pi"] if _FORMULA.fullmatch(text) else []
+        names = [name for name in named(text) if name != "pi"] if _FORMULA.fullmatch(text) else []
         calls = re.search(r"\w\s*\(", text) is not None
         if not {*re.findall(r"(?<![\w.])[A-Za-z]\w*", text)} <= {*names, "pi"}:  # eps, or what is no name in a diagram
             value = _number(self.value(text), text)
@@ -201,20 +211,35 @@ class Scope:
     def raws(self, text: str) -> list[Raw]:
         """Return the elements of a row, of a column or of one number. Raises Unknown."""
         text = text.strip()
-        listed = _LIST.fullmatch(text)
-        if listed and re.fullmatch(r"[\w.\s,+\-]*", listed[1]) and not re.search(r"[\w)]\s*[+-]", listed[1]):
-            parts = [part for part in re.split(r"[\s,]+", listed[1].strip()) if part]
-            known = [self.known.get(part.lstrip("+-")) for part in parts]
-            if all(value is None or _is_scalar(value) for value in known):
-                return [self.raw(part) for part in parts]
+        if (found := self._elements(text)) is not None:
+            return found
         if _NAME.fullmatch(text) and (text not in self.known or _is_scalar(self.known[text])):
             return [self.raw(text)]
+        if _FORMULA.fullmatch(text) and any(name not in self.known for name in named(text)):
+            return [self.raw(text)]  # an unknown variable counts as a number
         value = self.matrix(text)
         if 1 not in value.shape and value.size:
             raise Unknown(f"{text[:80]!r} is a matrix, and one row is needed")
         if value.size > MOST_ELEMENTS:
             raise Unknown(f"{text[:80]!r} has {value.size:,} elements, and {MOST_ELEMENTS:,} are the most")
         return [self.raw(text)] if value.size == 1 else [Raw(_json(float(one)), float(one)) for one in value.ravel()]
+
+    def _elements(self, text: str) -> list[Raw] | None:
+        """Return the elements of a list, each as it is written, if that is their value; else None."""
+        listed, before = _LIST.fullmatch(text), dict(self.missing)
+        if listed is None or not re.search(r"[A-Za-z/]", listed[1]):
+            return None
+        inner = re.sub(r"\s*([*/^])\s*|\s+([-+])\s+", lambda found: found[1] or found[2], listed[1].strip())
+        parts = [part.strip() for part in inner.split(";")] if ";" in inner else re.split(r"\s*,\s*|\s+", inner)
+        try:
+            raws = [self.raw(part) for part in parts]
+            values = [raw.value for raw in raws]
+            if any(math.isnan(value) for value in values) or np.array_equal(self.matrix(text).ravel(), values):
+                return raws
+        except Unknown:
+            pass
+        self.missing = before
+        return None
 
     def matrix(self, text: str) -> Any:
         """Return an expression as a matrix of floats. Raises Unknown."""
@@ -247,7 +272,7 @@ def _same(known: Mapping[str, Value], name: str, text: str, outer: Mapping[str, 
         return name not in known
 
 
-def _named(text: str) -> list[str]:
+def named(text: str) -> list[str]:
     """Return the names in an expression; none where it cannot be read, which its evaluation tells."""
     try:
         return names_in(text)

@@ -105,17 +105,16 @@ def _shortened(given: list[Raw]) -> list[Raw]:
 
 
 def _ratio(at: At, default: str) -> tuple[list[Any], list[Any]]:
-    matrix = at.matrix("Numerator", "[1]")
-    if matrix.shape[0] > 1 and matrix.shape[1] > 1:
+    if ";" in at.text("Numerator") and 1 not in at.scope.matrix(at.text("Numerator")).shape:
         raise Refused("it has several outputs", "Use StateSpace.")
     return numbers(_shortened(at.raws("Numerator", "[1]"))), numbers(at.raws("Denominator", default))
 
 
 @rule("TransferFcn")
 def _(at: At) -> None:
-    if at.matrix("Numerator", "[1]").size == 1 and at.matrix("Denominator", "[1 2 1]").size == 1:
-        raise Refused("it is a number", "Use a Gain.")
     num, den = _ratio(at, "[1 2 1]")
+    if len(num) == len(den) == 1:
+        raise Refused("it is a number", "Use a Gain.")
     if len(num) > len(den):
         raise Refused("its numerator has a higher degree than its denominator", "Add a fast pole.")
     at.each("TransferFunction", num=num, den=den, rate=CONTINUOUS)
@@ -123,7 +122,7 @@ def _(at: At) -> None:
 
 @rule("ZeroPole")
 def _(at: At) -> None:
-    zeros, poles = at.raws("Zeros", "[1]") if at.matrix("Zeros", "[1]").size else [], at.raws("Poles", "[0 1]")
+    zeros, poles = at.raws("Zeros", "[1]") if at.text("Zeros", "[1]").strip() != "[]" else [], at.raws("Poles", "[0 1]")
     at.each("ZeroPoleGain", zeros=numbers(zeros), poles=numbers(poles), k=at.raw("Gain", "[1]").json, rate=CONTINUOUS)
 
 

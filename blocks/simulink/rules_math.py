@@ -71,9 +71,6 @@ def _source(at: At, kind: str, lists: Mapping[str, Sequence[Raw]], rate: Any = C
 
 @rule("Constant")
 def _(at: At) -> None:
-    value = at.text("Value", "1")
-    if at.scope.matrix(value).size > 1 and 1 not in at.scope.matrix(value).shape:
-        raise Refused("its value is a matrix", "Write it as vectors.")
     at.each("Constant", {}, {"value": at.raws("Value", "1")}, rate=CONSTANT)
 
 
@@ -253,8 +250,9 @@ def _(at: At) -> None:
 @rule("Gain", "Reference Slider Gain")
 def _(at: At) -> None:
     key = "gain" if at.block.type == "Reference" else "Gain"
-    k, form = at.matrix(key, "1"), at.text("Multiplication", "Element-wise(K.*u)")
-    if form.startswith("Matrix") and k.size > 1:
+    form = at.text("Multiplication", "Element-wise(K.*u)")
+    if form.startswith("Matrix") and at.matrix(key, "1").size > 1:
+        k = at.matrix(key, "1")
         k = k.T if "u*K" in form else k
         n = at.attr(1).n
         if n == 1 < k.shape[1] and len(k) > 1:

@@ -346,10 +346,20 @@ def _(at: At) -> None:
         at.out(f"{at.name}.{port}", CONTINUOUS, number=k)
 
 
+_OF_SIMULINK = re.compile(
+    r"simulink|cstblocks|sm_lib|fl_lib|nesl_|dsp|aero|vr|power|sps_|mech|hydro|robot|eml_lib|sflib|fixpt"
+)
+"""Names of MathWorks' own libraries, which nobody has beside a model."""
+
+
 def linked(at: At) -> None:
     """Map a link into a library whose file lies beside the model."""
     name, _, path = at.text("SourceBlock", "").partition("/")
     library = at.context.open_model(name)
+    if library is None and _OF_SIMULINK.match(name):
+        raise Refused(
+            f"no equal of {path.rpartition('/')[2].replace(chr(10), ' ')} here", "Write it as a block of your own."
+        )
     if library is None:
         raise Refused(f"a link to {at.text('SourceBlock').replace(chr(10), ' ')!r}, which is not here",
                       f"Put {name}.slx beside the model, or break the link there.")  # fmt: skip

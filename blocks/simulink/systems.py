@@ -16,7 +16,7 @@ from typing import Any
 from ..text.errors import FMUError, ModelError
 from .matlab import names_in
 from .matlab_functions import NoValue
-from .numbers import MOST_ELEMENTS, Raw, Scope, Unknown
+from .numbers import MOST_ELEMENTS, Raw, Scope, Unknown, named
 from .signals import (
     CONSTANT,
     CONTINUOUS,
@@ -175,6 +175,7 @@ class At:
     def __init__(self, drawing: Drawing, block: Block) -> None:
         self.drawing, self.block, self.part = drawing, block, Part()
         self.name, self.scope, self.context = drawing.names[block.name], drawing.scope, drawing.context
+        self.frozen: dict[str, None] = {}
         self.is_timed = False  # whether its rule has read its sample time
 
     # --- what the model says ---------------------------------------------------------------------------------------
@@ -184,7 +185,15 @@ class At:
         return default if value is None else value
 
     def raws(self, key: str, default: str) -> list[Raw]:
-        return self.scope.raws(self.text(key, default) or default)
+        text = self.text(key, default) or default
+        found = self.scope.raws(text)
+        self._freeze(text, repr([one.json for one in found]))
+        return found
+
+    def _freeze(self, text: str, written: str = "") -> None:
+        """Note the variables of an expression that are numbers in the diagram, and do not follow --set."""
+        names = [name for name in named(text) if name in self.scope.known]
+        self.frozen |= dict.fromkeys(name for name in names if not re.search(rf"\b{name}\b", written))
 
     def raw(self, key: str, default: str) -> Raw:
         found = self.raws(key, default)
@@ -193,7 +202,9 @@ class At:
         return found[0]
 
     def matrix(self, key: str, default: str) -> Any:
-        return self.scope.matrix(self.text(key, default) or default)
+        text = self.text(key, default) or default
+        self._freeze(text)
+        return self.scope.matrix(text)
 
     def whole_number(self, key: str, default: str, most: int = 10_000) -> int:
         return whole(self.raw(key, default), key, 0, most)
@@ -527,8 +538,9 @@ def _part(drawing: Drawing, block: Block) -> Part:
         rule(at)
         if drawing.scope.missing:
             named = ", ".join(drawing.scope.missing)
-            cure = f"Give {named} by --workspace, or as a parameter of the diagram."
-            at.note("unknown", f"no value for {named}", cure)
+            at.note("unknown", f"no value for {named}", f"Give {named} by --workspace.")
+        if at.block.type not in ("SubSystem", "ModelReference") and at.frozen:
+            at.note("decided", f"{', '.join(at.frozen)} went into its numbers: --set does not change them", "")
         if not at.is_timed and "SampleTime" in block.values and block.type not in _UNTIMED:
             for number, out in list(at.part.outs.items()):
                 if isinstance(out.whole, str):
@@ -556,10 +568,12 @@ def _empty(at: At, why: str, cure: str) -> None:
     if at.block.type == "Inport":  # an input has no block; it stays, as one number
         at.out(at.name, CONTINUOUS)
         return
-    kind = re.sub(r"\W", "", _kind(at.block).rpartition("/")[2].title()) or "Block"
-    name = at.add(f"{kind}ToWrite")
-    text = at.block.script or at.block.values.get("FunctionName", "")
-    at.part.blocks[name]["doc"] = " ".join(part for part in (why, cure, text) if part)[:4000]
+    name = at.add(f"{legal(at.block.name, set(), 'Block')}ToWrite")
+    given = {
+        key: at.block.values.get(key, "") for key in ("FunctionName", "MATLABFcn", "OutputDimensions", "Parameters")
+    }
+    said = [f"{key}: {text}." for key, text in given.items() if text]
+    at.part.blocks[name]["doc"] = " ".join(part for part in (why, cure, *said, at.block.script) if part)[:4000]
     for port in range(1, at.count(0) + 1):
         at.wire(f"{name}.u{port}", port, at.attr(port).n)
     for port in range(1, at.block.ports.get("out", 1) + 1):

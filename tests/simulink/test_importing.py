@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import shutil
+import types
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,19 @@ from scipy.integrate import solve_ivp
 from scipy.io import savemat
 from scipy.linalg import expm
 
-from blocks import BlocksError, Diagram, ModelError, PMDCMotor, Ramp, Results, UsageError, from_simulink
+from blocks import (
+    Block,
+    BlocksError,
+    Diagram,
+    Input,
+    ModelError,
+    PMDCMotor,
+    Ramp,
+    Results,
+    UsageError,
+    from_simulink,
+    output,
+)
 from blocks.cli import main
 from blocks.fmi.description import read_description
 from blocks.server import gestures  # noqa: F401  # its messages
@@ -146,6 +159,20 @@ def test_unknown_variables_and_what_has_no_equal_are_told(tmp_path: Path) -> Non
         diagram.check()
     assert "function u = comfort" in json.dumps(diagram.to_json())
 
+    class ComfortToWrite(Block):
+        """Heats while it is too cold."""
+
+        u1 = Input()
+        u2 = Input()
+
+        @output
+        def y1(u1, u2):
+            return u2 - u1
+
+    library = types.ModuleType("own")
+    library.ComfortToWrite = ComfortToWrite  # type: ignore[attr-defined]
+    Diagram.from_json(diagram.to_json(), library=library).check()
+
 
 def test_a_library_and_what_is_no_model_are_refused(tmp_path: Path) -> None:
     drawn = model("parts", system([block("Gain", "g", 1)]), "Library")
@@ -171,6 +198,31 @@ def test_variables_come_from_mat_files_too(tmp_path: Path) -> None:
     savemat(tmp_path / "gains.mat", {"kp": 0.5, "ki": 3.0, "Ts": 0.005, "name": "x", "s": {"a": 1.0}})
     made, known = from_simulink(MOTOR, [tmp_path / "gains.mat"]), from_simulink(MOTOR, VALUES)
     assert made.diagram.to_json() == known.diagram.to_json()
+
+
+def test_variables_stay_tunable_or_the_report_tells_which_do_not(tmp_path: Path) -> None:
+    values = {"Numerator": "[Kt]", "Denominator": "[La*Ra, (Ra*La + 2*Ra) Kt^2+Kb]"}
+    blocks = [
+        block("Step", "step", 1, {"Time": "0"}, {"out": 1}),
+        block("TransferFcn", "plant", 2, values, {"in": 1, "out": 1}),
+        block("TransferFcn", "fixed", 3, {"Numerator": "1", "Denominator": "conv([1 Ra], 1)"}, {"in": 1, "out": 1}),
+        block("Gain", "unknown", 4, {"Gain": "1/m"}, {"in": 1, "out": 1}),
+        block("Outport", "y", 5, {}, {"in": 1}),
+    ]
+    lines = [
+        line(("step", "1"), ("plant", "1"), ("fixed", "1"), ("unknown", "1")),
+        line(("plant", "1"), ("y", "1")),
+    ]
+    drawn = model("m", system(blocks, lines), callbacks={"InitFcn": "Kt = 2; La = 1; Ra = 3; Kb = 4;"})
+    path = FORMS["mdl"](drawn, tmp_path)
+    diagram, report = from_simulink(path, {"m": 5, "Ra": 9})
+    parameters = {name: entry.get("parameters") for name, entry in diagram.to_json()["blocks"].items()}
+    assert parameters["plant"] == {"num": ["=Kt"], "den": ["=La*Ra", "=(Ra*La+2*Ra)", "=Kt**2+Kb"]}
+    assert parameters["unknown"] == {"k": "=1/m"}
+    assert [(entry.path, entry.what.partition(" ")[0]) for entry in report.entries] == [("fixed", "Ra")]
+    tuned = diagram.run(parameters={"Kt": 4}, stop=20)["y"][-1]
+    assert tuned == pytest.approx(4 / (4**2 + 4), abs=1e-6)
+    assert [entry.path for entry in from_simulink(path).report.of("unknown")] == ["unknown"]
 
 
 def test_a_loop_is_solved_and_told(tmp_path: Path) -> None:
@@ -228,6 +280,11 @@ def test_the_command_writes_the_diagram_and_tells(tmp_path: Path, capsys: pytest
     assert {"taken", "unknown", "done"} <= {each["event"] for each in told}
     assert told[-1] == {"event": "done", "diagram": str(out), "whole": False, "taken": told[-1]["taken"]}
     assert main(["import", str(MOTOR), "-o", "-"]) == 2
+    own = FORMS["split"](dc_motor(), tmp_path)
+    before = own.read_bytes()
+    assert main(["import", str(own), "-o", str(own), "--force"]) == 2
+    assert own.read_bytes() == before
+    assert main(["import", str(MOTOR), "-o", str(out), "--force", "--workspace", str(out)]) == 2
     assert main(["import", str(tmp_path / "none.slx")]) == 2
     assert "E007" in capsys.readouterr().err
 
