@@ -6,7 +6,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from .matlab import Unread, Value
 from .numbers import Given, Raw, Scope, Unknown, read_workspace, variables
 from .reading import read_model
 from .systems import Context, Mapped, Rule, legal, map_system
+from .tags import with_tags
 from .tree import Block, Model
 
 _RULE_MODULES = (rules_math, rules_dynamic, rules_wiring)  # which fill RULES when they are loaded
@@ -99,6 +100,7 @@ def import_model(
         UsageError: E501 for a workspace that cannot be read.
     """
     model = read_model(path)
+    model = replace(model, system=with_tags(model))
     if model.kind == "Library":
         message = "it is a library: its blocks are parts of models, and it does not run."
         raise ModelError(Fault("E010", model.path.name, message, "Import a model that uses it."))
@@ -170,7 +172,8 @@ class _Opened:
             for ending in (".slx", ".mdl"):
                 path = self.folder / f"{name}{ending}"
                 if re.fullmatch(r"\w+", name) and path.is_file():
-                    self.models[name] = read_model(path)
+                    model = read_model(path)
+                    self.models[name] = replace(model, system=with_tags(model))
                     break
         return self.models[name]
 
