@@ -40,7 +40,7 @@ class Entry(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """A block of the model that is in the diagram. name: its path there. kind: its BlockType."""
+    """A block of the model that is in the diagram. name: its path there; "": it is no block there, as a Scope."""
 
     path: str
     kind: str
@@ -291,15 +291,9 @@ def _finished(model: Model, mapped: Mapped, run: dict[str, Any], entries: list[E
     if inputs:
         what = f"its inputs are 0 unless a run gives them: {', '.join(inputs)}"
         entries.append(Entry("decided", model.name, what, f"Give them by --input {next(iter(inputs))}=VALUE."))
-    taken = [
-        Taken(_path(block), block.type, name) for block, name in _taken(model, mapped) if _path(block) not in missing
-    ]
+    taken = [Taken(_path(block), block.type, name) for block, name in mapped.taken if _path(block) not in missing]
     report = Report(model.name, taken, list(dict.fromkeys(entries)))
     return Imported(document, report)
-
-
-def _taken(model: Model, mapped: Mapped) -> list[tuple[Block, str]]:
-    return [(block, mapped.names[block.name]) for block in model.system.blocks.values() if block.name in mapped.names]
 
 
 def _text_of(text: str) -> str:

@@ -56,7 +56,8 @@ class Refused(Exception):
 class Mapped:
     """A system as the body of a diagram. outs: of its Outports, by number. used: parameters that it takes.
 
-    log: signals that it shows. named: its outputs that a variable or a file takes.
+    taken: the blocks of the model that are in it, with their paths there, "" for what is no block there. log: signals
+    that it shows. named: its outputs that a variable or a file takes.
     """
 
     body: dict[str, Any]
@@ -65,6 +66,7 @@ class Mapped:
     used: list[str]
     names: Mapping[str, str]
     notes: list[tuple[Block, Note]]
+    taken: list[tuple[Block, str]]
     log: list[str]
     named: list[str]
     stops: list[str]
@@ -693,88 +695,116 @@ class _Wiring:
 
 
 def _linked(drawing: Drawing) -> Mapped:
-    wiring = _Wiring(drawing)
-    body: dict[str, Any] = {"parameters": {}, "inputs": {}, "outputs": {}, "blocks": {}, "wires": {}, "layout": {}}
-    notes: list[tuple[Block, Note]] = []
-    outs: dict[str, Attr] = {}
-    log: list[str] = []
-    stops: list[str] = []
-    is_late = False
-    ends: set[tuple[str, str]] = set()
+    body = _Body(drawing)
     for name, part in drawing.parts.items():
-        block, ours = drawing.system.blocks[name], drawing.names[name]
-        notes += [(block, note) for note in part.notes]
-        is_late |= part.is_late
+        body.add(drawing.system.blocks[name], part)
+    return body.mapped()
+
+
+class _Body:
+    """The body of a diagram, block by block of the model, with what is told, logged and ends the run."""
+
+    def __init__(self, drawing: Drawing) -> None:
+        self.drawing, self.wiring = drawing, _Wiring(drawing)
+        self.inputs: dict[str, Any] = {}
+        self.outputs: dict[str, str] = {}
+        self.blocks: dict[str, Any] = {}
+        self.layout: dict[str, list[int]] = {}
+        self.notes: list[tuple[Block, Note]] = []
+        self.taken: list[tuple[Block, str]] = []
+        self.log: list[str] = []
+        self.stops: list[str] = []
+
+    def add(self, block: Block, part: Part) -> None:
+        ours = self.drawing.names[block.name]
+        self.notes += [(block, note) for note in part.notes]
         if block.type == "Inport":
             attr = part.outs["1"].attr
-            entry: dict[str, Any] = {"size": attr.n} if attr.n > 1 else {}
-            body["inputs"][ours] = entry | ({"type": "bool", "default": False} if attr.is_bool else {"default": 0})
-        for key, given in part.blocks.items():
-            body["blocks"][key] = given
-        if ours in part.blocks and ours != name:
-            made = part.blocks[ours]
-            made.setdefault("doc", name)
-        for wire in part.wires:
-            if isinstance(wire.source, Own) and drawing.sources(wire.source) is None:
-                port = wire.source.reading[1]
-                what = (
-                    f"nothing is wired to its input {port}, which is 0 there"
-                    if port.isdecimal()
-                    else f"nothing is wired to {port}"
-                )
-                if (name, port) not in ends:
-                    notes.append((block, Note("decided", f"{what}: a Constant 0", "")))
-                ends.add((name, port))
-            wiring.add(wire)
-        log += [one for reading in part.log for one in _logged(drawing, Own(reading))]
-        for reading in part.stops:
-            found = drawing.sources(Own(reading)) or []
-            stops += [each if is_bool else f"{each} != 0" for each, is_bool in found]
-        if part.inner is not None:
-            arriving = part.inner.body.get("inputs", {})  # no signals of the subdiagram: they are logged here
-            shown = [one for one in part.inner.log if "." in one or one.partition("[")[0] not in arriving]
-            log += [f"{ours}.{one}" for one in [*shown, *part.inner.named]]
-            for one in part.inner.stops:
-                arrives = part.ports.get(re.split(r"\W", one, maxsplit=1)[0], "") if "." not in one else ""
-                if not arrives:
-                    stops.append(f"{ours}.{one}")
-                    continue
-                found = drawing.sources(Own((name, arrives))) or []  # an input is no signal of the subdiagram
-                stops += [each if is_bool else f"{each} != 0" for each, is_bool in found]
-            notes += part.inner.notes
+            kind = {"type": "bool", "default": False} if attr.is_bool else {"default": 0}
+            self.inputs[ours] = ({"size": attr.n} if attr.n > 1 else {}) | kind
+        if ours in part.blocks and ours != block.name:
+            part.blocks[ours].setdefault("doc", block.name)
+        self.blocks |= part.blocks
+        is_drawn = ours in part.blocks or block.type in ("Inport", "Outport")
+        self.taken.append((block, ours if is_drawn else ""))
         center = _center(block)
-        if center and (ours in part.blocks or block.type in ("Inport", "Outport")):
-            body["layout"][ours] = center
-    taken = {*body["inputs"], *drawing.scope.used}
-    named: list[str] = []
-    for name in drawing.parts:
-        block = drawing.system.blocks[name]
-        if block.type == "Outport":
-            number, ours = block.values.get("Port", "1"), drawing.names[name]
-            reading = (name, "1")
-            source, n = wiring.one_source(Own(reading), ours)
-            body["outputs"][ours] = source
-            outs[number] = drawing.attr(reading)
-            if n > 1 and drawing.whole(Own(reading)) is None:  # gathered by a Mux, as numbers
-                outs[number] = replace(outs[number], is_bool=False)
-            taken.add(ours)
-    for name, part in drawing.parts.items():
-        for wanted, reading in part.outputs.items():
-            if drawing.sources(Own(reading)) is not None:
-                ours = legal(wanted, taken)
-                body["outputs"][ours], _ = wiring.one_source(Own(reading), ours)
-                named.append(ours)
-                center = _center(drawing.system.blocks[name])
-                if center and ours not in body["blocks"] and ours not in body["inputs"]:
-                    body["layout"][ours] = center
-    body["blocks"] |= wiring.blocks
-    body["wires"] |= wiring.wires
-    written = repr([*body["blocks"].values()])
-    used = [name for name in drawing.scope.used if re.search(rf"\b{name}\b", written)]
-    body["parameters"] = {name: _plain(drawing.scope.used[name]) for name in used}
-    body = {key: value for key, value in body.items() if value}
-    size = len(body.get("blocks", ())) + sum(part.inner.size for part in drawing.parts.values() if part.inner)
-    return Mapped(body, outs, drawing.scope, used, drawing.names, notes, log, named, stops, is_late, size)
+        if center and is_drawn:
+            self.layout[ours] = center
+        self._tell_open_ends(block, part)
+        for wire in part.wires:
+            self.wiring.add(wire)
+        self.log += [one for reading in part.log for one in _logged(self.drawing, Own(reading))]
+        for reading in part.stops:
+            self._stop(reading)
+        if part.inner is not None:
+            self._take_over(block.name, ours, part)
+
+    def _tell_open_ends(self, block: Block, part: Part) -> None:
+        readings = dict.fromkeys(wire.source.reading for wire in part.wires if isinstance(wire.source, Own))
+        for reading in readings:
+            if self.drawing.sources(Own(reading)) is None:
+                port = reading[1]
+                there = f"its input {port}, which is 0 there" if port.isdecimal() else port
+                self.notes.append((block, Note("decided", f"nothing is wired to {there}: a Constant 0", "")))
+
+    def _stop(self, reading: Reading) -> None:
+        found = self.drawing.sources(Own(reading)) or []
+        self.stops += [each if is_bool else f"{each} != 0" for each, is_bool in found]
+
+    def _take_over(self, name: str, ours: str, part: Part) -> None:
+        """Take over what a subdiagram logs, tells and ends; its inputs are no signals of its own."""
+        inner = part.inner
+        arriving = inner.body.get("inputs", {})
+        shown = [one for one in inner.log if "." in one or one.partition("[")[0] not in arriving]
+        self.log += [f"{ours}.{one}" for one in [*shown, *inner.named]]
+        for one in inner.stops:
+            port = part.ports.get(re.split(r"\W", one, maxsplit=1)[0], "") if "." not in one else ""
+            if port:
+                self._stop((name, port))
+            else:
+                self.stops.append(f"{ours}.{one}")
+        self.notes += inner.notes
+        self.taken += [(block, inside and f"{ours}.{inside}") for block, inside in inner.taken]
+
+    def mapped(self) -> Mapped:
+        drawing, wiring = self.drawing, self.wiring
+        outs: dict[str, Attr] = {}
+        taken = {*self.inputs, *drawing.scope.used}
+        for name in drawing.parts:
+            block = drawing.system.blocks[name]
+            if block.type == "Outport":
+                number, ours, source = block.values.get("Port", "1"), drawing.names[name], Own((name, "1"))
+                self.outputs[ours], n = wiring.one_source(source, ours)
+                outs[number] = drawing.attr(source.reading)
+                if n > 1 and drawing.whole(source) is None:  # gathered by a Mux, as numbers
+                    outs[number] = replace(outs[number], is_bool=False)
+                taken.add(ours)
+        named: list[str] = []
+        for name, part in drawing.parts.items():
+            for wanted, reading in part.outputs.items():
+                if drawing.sources(Own(reading)) is not None:
+                    ours = legal(wanted, taken)
+                    self.outputs[ours], _ = wiring.one_source(Own(reading), ours)
+                    named.append(ours)
+                    center = _center(drawing.system.blocks[name])
+                    if center and ours not in self.blocks and ours not in self.inputs:
+                        self.layout[ours] = center
+        blocks = self.blocks | wiring.blocks
+        written = repr([*blocks.values()])
+        used = [name for name in drawing.scope.used if re.search(rf"\b{name}\b", written)]
+        sections = {
+            "parameters": {name: _plain(drawing.scope.used[name]) for name in used},
+            "inputs": self.inputs, "outputs": self.outputs, "blocks": blocks, "wires": wiring.wires,
+            "layout": self.layout,
+        }  # fmt: skip
+        inner = [part.inner for part in drawing.parts.values() if part.inner is not None]
+        return Mapped(
+            body={key: value for key, value in sections.items() if value},
+            outs=outs, scope=drawing.scope, used=used, names=drawing.names, notes=self.notes, taken=self.taken,
+            log=self.log, named=named, stops=self.stops,
+            is_late=any(part.is_late for part in drawing.parts.values()),
+            size=len(blocks) + sum(one.size for one in inner),
+        )  # fmt: skip
 
 
 def _plain(value: float) -> float | int:

@@ -271,7 +271,7 @@ def test_files_beside_the_model_are_read(tmp_path: Path) -> None:
 def test_the_command_writes_the_diagram_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "motor.json"
     assert main(["import", str(MOTOR), "-o", str(out), "--workspace", str(VALUES)]) == 0
-    assert "motor_pid: 11 blocks taken" in capsys.readouterr().out
+    assert "motor_pid: 20 blocks taken" in capsys.readouterr().out
     assert Diagram.load(out).to_json() == from_simulink(MOTOR, VALUES).diagram.to_json()
     assert main(["import", str(MOTOR), "-o", str(out)]) == 2  # it is there
     assert "--force" in capsys.readouterr().err
