@@ -702,7 +702,7 @@ def _linked(drawing: Drawing) -> Mapped:
 
 
 class _Body:
-    """The body of a diagram, block by block of the model, with what is told, logged and ends the run."""
+    """The body of a diagram, block by block of the model, with notes, signals to log and ends of the run."""
 
     def __init__(self, drawing: Drawing) -> None:
         self.drawing, self.wiring = drawing, _Wiring(drawing)
