@@ -363,6 +363,9 @@ def _decoded(text: str | bytes, file: str, largest: int) -> str:
         raise ModelError(Fault("E008", "", message, "Keep tables of data in files of their own.", file=file))
     if isinstance(text, str):
         return text
+    if file.lower().endswith((".slx", ".mdl")):
+        message, cure = "is a model of Simulink, not a diagram.", f"Make a diagram of it: blocks import {file}"
+        raise ModelError(Fault("E001", "", message, cure, (), file, 1, 1))
     if text.startswith(_ARCHIVE):
         message = "is an archive, for example an FMU, not a diagram."
         cure = 'To run an FMU: blocks fmu run X.fmu. To use it as a block of a diagram: {"fmu": "X.fmu"}.'

@@ -280,6 +280,9 @@ def test_the_command_writes_the_diagram_and_tells(tmp_path: Path, capsys: pytest
     assert {"taken", "unknown", "done"} <= {each["event"] for each in told}
     assert told[-1] == {"event": "done", "diagram": str(out), "whole": False, "taken": told[-1]["taken"]}
     assert main(["import", str(MOTOR), "-o", "-"]) == 2
+    for name in ("motor_pid.slx", "thermostat.mdl"):
+        assert main(["run", str(FOLDER / name)]) == 2
+        assert f"blocks import {FOLDER / name}" in capsys.readouterr().err
     own = FORMS["split"](dc_motor(), tmp_path)
     before = own.read_bytes()
     assert main(["import", str(own), "-o", str(own), "--force"]) == 2
