@@ -113,7 +113,8 @@ def import_model(
     entries += [Entry("decided", model.name, *one) for one in told]
     scope = Scope(known)
     beside = model.path.parent if folder is None else Path(folder)
-    context = Context(model, rule_of, _Opened(beside).open, beside, opened=(model.path.stem,))
+    shortest = fallback.value if fallback else float(f"{(run['stop'] - run.get('start', 0)) / 10_000:.2g}")
+    context = Context(model, rule_of, _Opened(beside).open, beside, shortest, opened=(model.path.stem,))
     mapped = map_system(context, model.system, scope, {})
     context.fallback = fallback or _one_rate(mapped)
     if mapped.is_late or context.fallback:

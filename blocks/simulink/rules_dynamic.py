@@ -147,7 +147,7 @@ def _(at: At) -> None:
 
 @rule("Derivative")
 def _(at: At) -> None:
-    constant = at.context.fallback.json if at.context.fallback else 1e-3
+    constant = at.context.shortest
     what = f"the derivative is smoothed over {constant} s; there it is the difference over a step"
     at.note("decided", what, "Set its Tf, or take the derivative before its integrator.")
     at.each("Derivative", Tf=constant, rate=CONTINUOUS)

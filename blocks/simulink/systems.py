@@ -78,13 +78,15 @@ class Mapped:
 class Context:
     """What all systems of one import share.
 
-    folder: of the files that the model refers to. fallback: the sample time where none is inherited.
+    folder: of the files that the model refers to. shortest: the step of the solver, or a part of the run that is short
+    enough for what is a step there. fallback: the sample time where none is inherited.
     """
 
     model: Model
     rule_of: Callable[[Block], Rule | None]
     open_model: Callable[[str], Model | None]
     folder: Path
+    shortest: float
     fallback: Raw | None = None
     kept: dict[Any, Mapped] = field(default_factory=dict)
     opened: tuple[str, ...] = ()  # the models and links that lie around a system

@@ -214,7 +214,7 @@ def test_a_diagram_saved_elsewhere_finds_its_points(tmp_path: Path) -> None:
         ("time,speed\n0,1\n", {"column": "sped"}, "\"cycle.csv\" has no such column. Did you mean 'speed'?"),
         ("time,speed\n0,x\n", {}, "\"cycle.csv\" line 2: 'x' in the column 'speed' is not a number."),
         ("time,speed\n0,1_000\n", {}, "line 2: '1_000' in the column 'speed' is not a number."),
-        ("time,speed,speed\n", {}, "has two columns with the same name."),
+        ("time,speed,speed\n", {}, "has two columns with the same name, 'speed'."),
         ("time;speed\n0;1\n", {}, "separates its columns by ';'. Use commas."),
         ("", {}, '"cycle.csv" is empty.'),
         ("time,speed\n0\n", {}, "line 2: 1 cells for 2 columns."),
