@@ -11,18 +11,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..model.diagram_grammar import LEAST_RTOL
-from ..text.errors import BlocksError, Fault, ModelError
+from ..text.errors import Fault, ModelError
 from ..text.printable import counted, one_line
-from . import rules_dynamic, rules_math, rules_wiring
+from . import rules_dynamic, rules_math, rules_wiring  # noqa: F401
 from .matlab import Unread, Value
-from .numbers import Given, Raw, Scope, Unknown, read_workspace, variables
+from .numbers import Given, Raw, Scope, Unknown, as_json, read_workspace, variables
 from .reading import read_model
 from .systems import Context, Mapped, Rule, legal, map_system
 from .tags import with_tags
 from .tree import Block, Model
 
-_RULE_MODULES = (rules_math, rules_dynamic, rules_wiring)  # which fill RULES when they are loaded
-_RULES = rules_math.RULES
+_RULES = rules_math.RULES  # which the other modules of rules fill when they are loaded
 _STIFF = {"ode15s", "ode23s", "ode23t", "ode23tb", "ode14x", "ode1be", "daessc"}
 _FIXED = {"ode1": "euler", "ode2": "rk4", "ode3": "rk4", "ode4": "rk4", "ode5": "rk4", "ode8": "rk4"}
 _AUTO = {"VariableStepAuto", "VariableStepDiscrete", "FixedStepAuto", "FixedStepDiscrete"}
@@ -49,7 +48,7 @@ class Taken(NamedTuple):
 
 @dataclass(frozen=True)
 class Report:
-    """What an import did. taken: blocks. entries: all that a user should know of the others."""
+    """Tells what an import did. taken: blocks. entries: lines about decisions, and about what is missing."""
 
     model: str
     taken: Sequence[Taken]
@@ -99,8 +98,7 @@ def import_model(
         ModelError: E007, E010 for a file that is no model, or a library.
         UsageError: E501 for a workspace that cannot be read.
     """
-    model = read_model(path)
-    model = replace(model, system=with_tags(model))
+    model = _read(path)
     if model.kind == "Library":
         message = "it is a library: its blocks are parts of models, and it does not run."
         raise ModelError(Fault("E010", model.path.name, message, "Import a model that uses it."))
@@ -160,6 +158,12 @@ _OF_LIBRARY = {
 }  # fmt: skip
 
 
+def _read(path: str | os.PathLike[str]) -> Model:
+    """Return a model whose tags do not cross the borders of systems."""
+    model = read_model(path)
+    return replace(model, system=with_tags(model))
+
+
 class _Opened:
     """The models and libraries beside a model, each read once."""
 
@@ -173,8 +177,7 @@ class _Opened:
             for ending in (".slx", ".mdl"):
                 path = self.folder / f"{name}{ending}"
                 if re.fullmatch(r"\w+", name) and path.is_file():
-                    model = read_model(path)
-                    self.models[name] = replace(model, system=with_tags(model))
+                    self.models[name] = _read(path)
                     break
         return self.models[name]
 
@@ -224,8 +227,8 @@ def _settings(model: Model, known: Mapping[str, Value]) -> tuple[Raw | None, dic
         )
         stop = start + DEFAULT_STOP
     if start:
-        run["start"] = _plain(start)
-    run["stop"] = _plain(stop)
+        run["start"] = as_json(start)
+    run["stop"] = as_json(stop)
     solver = given.get("SolverName") or given.get("Solver") or "ode45"
     step = (
         number("FixedStep", None)
@@ -237,7 +240,7 @@ def _settings(model: Model, known: Mapping[str, Value]) -> tuple[Raw | None, dic
         if step is None:
             step = (stop - start) / 50
             told.append((f"its step is auto: {step:g} s, which is a fiftieth of the run", "Set `step` in `run`."))
-        run["step"] = _plain(step)
+        run["step"] = as_json(step)
         if solver not in ("ode1", "ode4"):
             told.append((f"its solver is {solver}: {run['method']}", "Set `method` in `run`."))
     elif solver in _STIFF:
@@ -253,12 +256,8 @@ def _settings(model: Model, known: Mapping[str, Value]) -> tuple[Raw | None, dic
             run[word] = max(tolerance, LEAST_RTOL) if word == "rtol" else tolerance
     if run.get("method") not in _FIXED.values() and (longest := number("MaxStep", None)) is not None:
         told.append((f"its largest step of {longest:g} s is left out: steps follow from tolerances", ""))
-    fallback = Raw(_plain(step), step) if step and step > 0 else None
+    fallback = Raw(as_json(step), step) if step and step > 0 else None
     return fallback, run, told
-
-
-def _plain(value: float) -> float | int:
-    return int(value) if value == int(value) and abs(value) < 2**53 else value
 
 
 def _finished(model: Model, mapped: Mapped, run: dict[str, Any], entries: list[Entry]) -> Imported:
@@ -313,6 +312,3 @@ def _text_of(text: str) -> str:
 
 def _path(block: Block) -> str:
     return "/".join(part.replace("\n", " ").replace("/", "//") for part in block.path)
-
-
-__all__ = ["BlocksError", "Entry", "Imported", "Report", "Taken", "import_model", "rule_of"]

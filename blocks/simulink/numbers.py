@@ -184,7 +184,7 @@ class Scope:
         calls = re.search(r"\w\s*\(", text) is not None
         if not {*re.findall(r"(?<![\w.])[A-Za-z]\w*", text)} <= {*names, "pi"}:  # eps, or what is no name in a diagram
             value = _number(self.value(text), text)
-            return Raw(_json(value), value)
+            return Raw(as_json(value), value)
         if (
             names
             and not calls
@@ -206,7 +206,7 @@ class Scope:
         value = _number(self.value(text), text)
         if "/" in text and not names and not calls and _FORMULA.fullmatch(text) and "^" not in text:
             return Raw(f"={text}", value)  # 1/3 stays exact
-        return Raw(_json(value), value)
+        return Raw(as_json(value), value)
 
     def raws(self, text: str) -> list[Raw]:
         """Return the elements of a row, of a column or of one number. Raises Unknown."""
@@ -222,7 +222,7 @@ class Scope:
             raise Unknown(f"{text[:80]!r} is a matrix, and one row is needed")
         if value.size > MOST_ELEMENTS:
             raise Unknown(f"{text[:80]!r} has {value.size:,} elements, and {MOST_ELEMENTS:,} are the most")
-        return [self.raw(text)] if value.size == 1 else [Raw(_json(float(one)), float(one)) for one in value.ravel()]
+        return [self.raw(text)] if value.size == 1 else [Raw(as_json(float(one)), float(one)) for one in value.ravel()]
 
     def _elements(self, text: str) -> list[Raw] | None:
         """Return the elements of a list, each as it is written, if that is their value; else None."""
@@ -300,5 +300,6 @@ def _number(value: Value | None, text: str) -> float:
     return number
 
 
-def _json(value: float) -> float | int:
+def as_json(value: float) -> float | int:
+    """Return a number as it is written: without a point if it is whole."""
     return int(value) if abs(value) < 2**53 and value == int(value) else value

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
 from .numbers import Raw
-from .rules_math import computed, numbers, rule
+from .rules_math import computed, divided, numbers, rule
 from .signals import CONTINUOUS, Rate
 from .systems import At, Refused
 
@@ -263,9 +262,7 @@ def _(at: At) -> None:
     rate = at.ticks(default="1")
     gain = at.raws("gainval", "1.0")
     if method.startswith("Accumulation"):
-        gain = [
-            computed("{}/{}", lambda a, b: a / b if b else math.inf, one, Raw(rate.json, rate.period)) for one in gain
-        ]
+        gain = [computed("{}/{}", divided, one, Raw(rate.json, rate.period)) for one in gain]
     is_first = "utput" in at.text(_given(at, "InitialConditionSetting", "InitialConditionMode"), "Output")
     words = _at_ticks(rate) | ({} if form == "forward" else {"form": form})
     if form != "forward" and not is_first:
@@ -330,7 +327,7 @@ def _(at: At) -> None:
     is_derivative = at.block.values.get("SourceType") == "Discrete Derivative"
     gain = at.raw("gainval", "1.0") if is_derivative else ONE
     if is_derivative:
-        gain = computed("{}/{}", lambda a, b: a / b if b else math.inf, gain, Raw(rate.json, rate.period))
+        gain = computed("{}/{}", divided, gain, Raw(rate.json, rate.period))
     if at.raw("ICPrevScaledInput" if is_derivative else "ICPrevInput", "0").value != 0:
         raise Refused("its input before the start is not 0")
     minus = computed("-{}", lambda a: -a, gain)
@@ -391,11 +388,11 @@ def _continuous_pid(at: At, gains: tuple[Raw, Raw, Raw, Raw], limits: Any, back:
     is_bounded = any(value is not None for value in given.values())
     tracking: Any = None
     if is_bounded and i.value != 0:
-        tracking = computed("1/{}", lambda a: 1 / a if a else math.inf, back).json if back and back.value else 1e12
+        tracking = computed("1/{}", lambda a: divided(1, a), back).json if back and back.value else 1e12
     is_two = at.block.values.get("SourceType") == "PID 2dof"
     b, c = (at.raw(key, "1").json if is_two else 1 for key in "bc")
     at.add("PID", kp=p.json, ki=i.json or None, kd=d.json or None, u_start=start.json or None, Tt=tracking,
-           Tf=computed("1/{}", lambda a: 1 / a if a else math.inf, n).json if d.value else None,
+           Tf=computed("1/{}", lambda a: divided(1, a), n).json if d.value else None,
            b=b if b != 1 else None, c=c if d.value else None, **given)  # fmt: skip
     at.wire(f"{at.name}.r", 1)
     at.wire(f"{at.name}.y", 2 if is_two else "0")

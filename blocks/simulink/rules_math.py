@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .numbers import Raw, values_of_mat
+from .numbers import Raw, as_json, values_of_mat
 from .signals import CONSTANT, CONTINUOUS, Own
 from .systems import At, Refused, Rule
 
@@ -42,10 +42,11 @@ def computed(formula: str, function: Callable[..., float], *given: Raw) -> Raw:
     if any(isinstance(one.json, str) for one in given):
         texts = [one.json.removeprefix("=") if isinstance(one.json, str) else repr(one.json) for one in given]
         return Raw("=" + formula.format(*(text if text.isidentifier() else f"({text})" for text in texts)), value)
-    return Raw(int(value) if abs(value) < 2**53 and value == int(value) else value, value)
+    return Raw(as_json(value), value)
 
 
-def _divided(a: float, b: float = 1.0) -> float:
+def divided(a: float, b: float) -> float:
+    """Return a/b, and infinity for b = 0, which is refused where a number is needed."""
     return a / b if b else math.inf
 
 
@@ -59,6 +60,16 @@ def formula(at: At, expression: str, ports: Sequence[int] = (1,), k: Sequence[Se
         given = rows[0] if all(len(one) == 1 for one in k) else rows
     at.each("Expression", {f"u{i + 1}": port for i, port in enumerate(ports)}, suffix=suffix, is_bool=is_bool, n=n,
             expression=expression, k=given)  # fmt: skip
+
+
+def over_elements(
+    at: At, kind: str, /, *, port: int = 1, suffix: str = "", is_bool: bool = False, **parameters: Any
+) -> None:
+    """Add a block that takes the elements of one input, each at an input of its own."""
+    name = at.add(kind, suffix, 1, **parameters)
+    for i in range(at.attr(port).n):
+        at.wire(f"{name}.u{i + 1}", at.own(port, i), is_bool=is_bool)
+    at.out(f"{name}.y", at.inherited(), is_bool=is_bool)
 
 
 # --- sources ---------------------------------------------------------------------------------------------------------
@@ -107,8 +118,8 @@ def _(at: At) -> None:
         rate = at.ticks()
         samples, first = at.raw("Samples", "10"), at.raw("Offset", "0")
         period = Raw(rate.json, rate.period)
-        lists["omega"] = [computed("2*pi/({}*{})", lambda a, b: _divided(2 * math.pi, a * b), samples, period)]
-        lists["phase"] = [computed("2*pi*{}/{}", lambda a, b: _divided(2 * math.pi * a, b), first, samples)]
+        lists["omega"] = [computed("2*pi/({}*{})", lambda a, b: divided(2 * math.pi, a * b), samples, period)]
+        lists["phase"] = [computed("2*pi*{}/{}", lambda a, b: divided(2 * math.pi * a, b), first, samples)]
     else:
         lists |= {"omega": at.raws("Frequency", "1"), "phase": at.raws("Phase", "0")}
     _source(at, "Sine", lists)
@@ -122,7 +133,7 @@ def _(at: At) -> None:
     if at.text("PulseType", "Sample based") == "Sample based":
         rate = at.ticks(default="1")
         tick = Raw(rate.json, rate.period)
-        width = computed("100*{}/{}", lambda a, b: _divided(100 * a, b), width, period)
+        width = computed("100*{}/{}", lambda a, b: divided(100 * a, b), width, period)
         period = computed("{}*{}", lambda a, b: a * b, period, tick)
         delay = computed("{}*{}", lambda a, b: a * b, delay, tick)
     duty = computed("{}/100", lambda a: a / 100, width)
@@ -139,7 +150,7 @@ def _(at: At) -> None:
         at.each("Sine", {}, {"amplitude": amplitude}, rate=CONTINUOUS, omega=omega.json)
     elif form == "square":  # there it begins with the negative half
         period = computed(
-            "1/{}" if is_hertz else "2*pi/{}", lambda f: _divided(1 if is_hertz else 2 * math.pi, f), frequency
+            "1/{}" if is_hertz else "2*pi/{}", lambda f: divided(1 if is_hertz else 2 * math.pi, f), frequency
         )
         negative = [computed("-{}", lambda a: -a, one) for one in amplitude]
         at.each("SquareWave", {}, {"low": amplitude, "high": negative}, rate=CONTINUOUS, period=period.json)
@@ -167,7 +178,7 @@ def _(at: At) -> None:
     seed = at.raws("seed" if is_linked else "Seed", "0")[0].json
     words: dict[str, Any] = {"period": rate.json, "seed": seed or None}
     if is_linked:
-        tick, root = Raw(rate.json, rate.period), lambda a, b: math.sqrt(_divided(max(a, 0.0), b))
+        tick, root = Raw(rate.json, rate.period), lambda a, b: math.sqrt(divided(max(a, 0.0), b))
         deviation = [computed("sqrt({}/{})", root, one, tick) for one in at.raws("Cov", "[0.1]")]
         lists: dict[str, Sequence[Raw]] = {"deviation": deviation}
     elif at.block.type == "RandomNumber":
@@ -291,11 +302,7 @@ def _(at: At) -> None:
     if not signs or set(signs) - {"+", "-"}:
         raise Refused(f"its signs are {signs[:20]!r}")
     if len(signs) == 1 and at.attr(1).n > 1:
-        n = at.attr(1).n
-        at.add("Sum", signs=signs * n)
-        for i in range(n):
-            at.wire(f"{at.name}.u{i + 1}", at.own(1, i))
-        at.out(f"{at.name}.y", at.inherited())
+        over_elements(at, "Sum", signs=signs * at.attr(1).n)
     else:
         at.each("Sum", {f"u{i + 1}": i + 1 for i in range(len(signs))}, signs=signs)
     at.hold()
@@ -310,11 +317,7 @@ def _(at: At) -> None:
     if at.text("Multiplication", "Element-wise(.*)").startswith("Matrix") and any(at.attr(one).n > 1 for one in ports):
         raise Refused("a product of matrices", "Use MatrixGain or DotProduct.")
     if len(signs) == 1 and at.attr(1).n > 1:
-        n = at.attr(1).n
-        at.add("Product", operations=signs * n)
-        for i in range(n):
-            at.wire(f"{at.name}.u{i + 1}", at.own(1, i))
-        at.out(f"{at.name}.y", at.inherited())
+        over_elements(at, "Product", operations=signs * at.attr(1).n)
     else:
         at.each("Product", {f"u{i}": i for i in ports}, operations=signs)
     at.hold()
@@ -694,11 +697,7 @@ def _(at: At) -> None:
         raise Refused(f"its operator is {operator!r}")
     inner, suffix = ("xor", "_xor") if operator == "nxor" else (operator, "")
     if ports == 1 and operator != "not":
-        n = at.attr(1).n
-        at.add("Logic", suffix, operator=inner, size=n)
-        for i in range(n):
-            at.wire(f"{at.name}{suffix}.u{i + 1}", at.own(1, i), is_bool=True)
-        at.out(f"{at.name}{suffix}.y", at.inherited(), is_bool=True)
+        over_elements(at, "Logic", suffix=suffix, is_bool=True, operator=inner, size=at.attr(1).n)
     else:
         sinks = {f"u{i}": i for i in range(1, ports + 1)}
         at.each(
@@ -741,10 +740,7 @@ def _(at: At) -> None:
     is_from_0 = order.startswith("Zero")
     n = at.attr(2).n
     if size == 1 and n > 1:
-        at.add("MultiportSwitch", size=n)
-        for i in range(n):
-            at.wire(f"{at.name}.u{i + 1}", at.own(2, i))
-        at.out(f"{at.name}.y", at.inherited())
+        over_elements(at, "MultiportSwitch", port=2, size=n)
     else:
         at.each("MultiportSwitch", {f"u{i}": i + 1 for i in range(1, size + 1)}, size=size)
     at.add("Expression", "_index", expression=f"u1 {'+' if is_from_0 else '-'} 0.5")  # cut off there, rounded here

@@ -11,7 +11,8 @@ from ..fmi.description import read_description
 from .numbers import MOST_ELEMENTS, Raw, Scope, variables
 from .rules_math import rule, translated
 from .signals import CONSTANT, CONTINUOUS, Attr, Field, Out, Own, joined, outputs_of
-from .systems import MOST_BLOCKS, MOST_PORTS, At, Mapped, Refused, map_system, whole
+from .systems import MOST_BLOCKS, MOST_PORTS, At, Refused, map_system, whole
+from .tags import tag_of
 from .tree import Block, System
 
 # --- vectors and buses -----------------------------------------------------------------------------------------------
@@ -187,16 +188,9 @@ def _(at: At) -> None:
 
 @rule("From")
 def _(at: At) -> None:
-    tag = at.text("GotoTag", "A")
-    blocks = at.drawing.system.blocks
-    found = next(
-        (
-            one
-            for one in blocks.values()
-            if one.type == "Goto" and (at.context.model.value(one, "GotoTag") or "A") == tag
-        ),
-        None,
-    )
+    model, blocks = at.context.model, at.drawing.system.blocks.values()
+    tag = tag_of(model, at.block)
+    found = next((one for one in blocks if one.type == "Goto" and tag_of(model, one) == tag), None)
     if found is None:
         raise Refused(f"its Goto {tag!r} is in another system", "Wire the signal through a port.")
     attr = at.drawing.attr((found.name, "1"))
@@ -442,14 +436,9 @@ def _inside(at: At, context: Any, system: System, scope: Scope) -> None:
             at.part.outs[number] = outputs_of(f"{at.name}.{mapped.names[name]}", attr)
     at.part.inner = mapped
     at.part.ports = {mapped.names[name]: port for port, name in inports.items()}
-    at.part.log += _passed(at, mapped, inports)
-
-
-def _passed(at: At, mapped: Mapped, inports: dict[str, str]) -> list[tuple[str, str]]:
-    """Return the inputs that a Scope inside shows as they arrive, and take them from the log of the inside."""
-    ours = {mapped.names[name]: port for port, name in inports.items()}
-    arriving = [one for one in mapped.log if re.match(r"\w+", one)[0] in ours and "." not in one]  # type: ignore[index]
-    return [(at.block.name, ours[re.match(r"\w+", one)[0]]) for one in arriving]  # type: ignore[index]
+    # A Scope inside may show an input as it arrives.
+    passed = [re.split(r"\W", one, maxsplit=1)[0] for one in mapped.log if "." not in one]
+    at.part.log += [(at.block.name, at.part.ports[one]) for one in passed if one in at.part.ports]
 
 
 def _control(at: At, entry: dict[str, Any], control: Block, system: System) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 from ..text.errors import FMUError, ModelError
 from .matlab import names_in
 from .matlab_functions import NoValue
-from .numbers import MOST_ELEMENTS, Raw, Scope, Unknown, named
+from .numbers import MOST_ELEMENTS, Raw, Scope, Unknown, as_json, named
 from .signals import (
     CONSTANT,
     CONTINUOUS,
@@ -33,6 +33,7 @@ from .signals import (
     passed_on,
     rate_of,
 )
+from .tags import tag_of
 from .tree import Block, End, Model, System
 
 Rule = Callable[["At"], None]
@@ -391,7 +392,7 @@ class At:
         }
         given = repr(blocks)
         used = {name: value for name, value in self.scope.used.items() if re.search(rf"\b{name}\b", given)}
-        body: dict[str, Any] = {"parameters": {name: _plain(value) for name, value in used.items()}} if used else {}
+        body: dict[str, Any] = {"parameters": {name: as_json(value) for name, value in used.items()}} if used else {}
         body |= {"inputs": {source: {}}, "outputs": {output: "last.y"}, "blocks": blocks, "wires": wires}
         entry: dict[str, Any] = {"diagram": body} | (
             {"parameters": {name: f"={name}" for name in used}} if used else {}
@@ -484,11 +485,11 @@ def _drawn(context: Context, system: System, scope: Scope, inputs: Mapping[str, 
 
 def _along(drawing: Drawing, blocks: Mapping[str, Block]) -> list[str]:
     """Return the blocks in the order of the signals, so that a few rounds reach them all."""
-    value = drawing.context.model.value
+    model = drawing.context.model
     tags: dict[str, str] = {}
     for name, block in blocks.items():
         if block.type == "Goto":
-            tags.setdefault(value(block, "GotoTag") or "A", name)
+            tags.setdefault(tag_of(model, block), name)
     order: dict[str, None] = {}
     begun: set[str] = set()
     for first in blocks:
@@ -501,7 +502,7 @@ def _along(drawing: Drawing, blocks: Mapping[str, Block]) -> list[str]:
             begun.add(name)
             before = [drawing.drivers[reading].block for reading in drawing.readings.get(name, ())]
             if blocks[name].type == "From":
-                before += [tags[tag] for tag in [value(blocks[name], "GotoTag") or "A"] if tag in tags]
+                before += [tags[tag] for tag in [tag_of(model, blocks[name])] if tag in tags]
             left += [one for one in before if one not in begun]
     return list(order)
 
@@ -795,7 +796,7 @@ class _Body:
         written = repr([*blocks.values()])
         used = [name for name in drawing.scope.used if re.search(rf"\b{name}\b", written)]
         sections = {
-            "parameters": {name: _plain(drawing.scope.used[name]) for name in used},
+            "parameters": {name: as_json(drawing.scope.used[name]) for name in used},
             "inputs": self.inputs, "outputs": self.outputs, "blocks": blocks, "wires": wiring.wires,
             "layout": self.layout,
         }  # fmt: skip
@@ -807,10 +808,6 @@ class _Body:
             is_late=any(part.is_late for part in drawing.parts.values()),
             size=len(blocks) + sum(one.size for one in inner),
         )  # fmt: skip
-
-
-def _plain(value: float) -> float | int:
-    return int(value) if value == int(value) and abs(value) < 2**53 else value
 
 
 def _logged(drawing: Drawing, source: Own) -> list[str]:

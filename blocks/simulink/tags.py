@@ -15,12 +15,16 @@ _Path = tuple[str, ...]
 
 @dataclass(slots=True)
 class _Added:
-    """What a system gets: blocks, lines, and how many ports of each kind its own block gets with them."""
+    """Holds the blocks and lines that a system gets, and how many ports of each kind its own block gets."""
 
     blocks: list[Block] = field(default_factory=list)
     lines: list[Line] = field(default_factory=list)
     ports: dict[str, int] = field(default_factory=lambda: {"in": 0, "out": 0})
-    tags: set[str] = field(default_factory=set)  # that a Goto or an Inport of the system gives
+
+
+def tag_of(model: Model, block: Block) -> str:
+    """Return the tag of a Goto or From."""
+    return model.value(block, "GotoTag") or "A"
 
 
 def with_tags(model: Model) -> System:
@@ -29,7 +33,7 @@ def with_tags(model: Model) -> System:
     gotos: dict[str, _Path] = {}
     froms: list[tuple[_Path, str]] = []
     for path, block in _walk(model.system, ()):
-        tag = model.value(block, "GotoTag") or "A"
+        tag = tag_of(model, block)
         if block.type == "Goto":
             tags.setdefault(path, set()).add(tag)
             if (model.value(block, "TagVisibility") or "local") != "local":
